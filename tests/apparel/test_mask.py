@@ -161,6 +161,14 @@ def test_a_skirt_is_taken_whole(likely: float) -> None:
     assert _marked(likely, SKIRT) == [1.0]
 
 
+def test_a_skirt_that_ends_above_the_pelvis_is_taken() -> None:
+    """Guessed joints may lie lower than they should: the pelvis of a witch in a wide dress."""
+    vertices, faces, joints, weights, number = _person(_tube([(0.17, 0.95), (0.2, 0.8), (0.25, 0.75)]))
+    joints[JOINT_NAMES.index("pelvis"), 1] = 0.7
+    mask, _ = hanging_mask(vertices, faces, joints, weights, np.ones(len(vertices)), number == 4, number == 4)
+    assert mask[(number == 4) & (vertices[:, 1] < 0.8)].all()
+
+
 def test_trousers_are_not() -> None:
     """Two legs that are joined at the hips, and go round one leg each, however likely they are."""
     left = _tube([(0.1, 0.81), (0.09, 0.5), (0.09, 0.1)], 0.1)

@@ -290,5 +290,6 @@ def _legs(
 def _outer(points: np.ndarray, rows: np.ndarray, joints: np.ndarray) -> np.ndarray:
     """Points that arms do not carry, shape (P,): hands may hang between the hips and the waist."""
     away = np.abs(points[:, 0] - joints[_PELVIS, 0])
-    wide = np.percentile(away[rows & (points[:, 1] < joints[_PELVIS, 1])], 98) if rows.any() else np.inf
+    below = rows & (points[:, 1] < joints[_PELVIS, 1])
+    wide = np.percentile(away[below], 98) if below.any() else np.inf
     return np.asarray(away <= 1.1 * wide)

@@ -16,6 +16,7 @@ from bunraku_lab.datasets.labelled.archive import archive_figure
 from bunraku_lab.datasets.labelled.figures import Labelled
 from bunraku_lab.datasets.labelled.locks import with_locks
 from bunraku_lab.datasets.labelled.things import fused, with_things
+from bunraku_lab.datasets.labelled.worn import with_accessories
 from bunraku_lab.nn.part_inference import CARRIERS, PARTS
 from bunraku_lab.nn.part_points import PartPoints, loose_parts, part_points
 
@@ -34,8 +35,11 @@ SOURCES = {
 VALIDATION = 0.1
 """Of the archive's figures, held out by their names."""
 VALIDATION_SEED = 900_000
-LOCKS = 0.35
-"""Share of people that get more hair."""
+LOCKS, WORN = 0.45, 0.4
+"""Shares of people that get more hair, and that get bows, headphones, frills and cuffs."""
+HELD = {"archive": 0.25, "creature": 0.35}
+"""How often things are put into hands, on backs and under feet, where it is not `HELD_BY_PEOPLE`."""
+HELD_BY_PEOPLE = 0.18
 FUSED = 0.2
 """Share of figures that are remeshed as one skin."""
 _CREATURES = (
@@ -172,7 +176,9 @@ def build_shard(
                 continue
             if kind not in ("creature", "archive") and rng.random() < LOCKS:
                 figure = with_locks(figure, rng)
-            figure = with_things(figure, rng)
+            if kind not in ("creature", "archive") and rng.random() < WORN:
+                figure = with_accessories(figure, rng)
+            figure = with_things(figure, rng, HELD.get(kind, HELD_BY_PEOPLE))
             if rng.random() < FUSED:
                 figure = fused(figure, rng)
             own = loose_parts(figure.vertices, figure.faces)

@@ -8,6 +8,7 @@ import pytest
 from bunraku_lab.datasets.labelled.figures import code_made, draped
 from bunraku_lab.datasets.labelled.locks import with_locks
 from bunraku_lab.datasets.labelled.things import fused, with_things
+from bunraku_lab.datasets.labelled.worn import with_accessories
 from bunraku_lab.nn.part_inference import CARRIERS, PARTS, PartConfig
 from bunraku_lab.training.parts import PartTrainConfig, PartTrainer, seen_row
 from bunraku_lab.training.parts_data import PartData, build_shard
@@ -32,8 +33,9 @@ def test_a_draped_character_hangs_where_it_is_cloth_or_hair(figure):
     assert figure.hands[0, 0] > 0 > figure.hands[1, 0]
 
 
-def test_more_hair_goes_with_the_head_and_things_lie_in_hands_or_under_feet(figure):
-    more = with_locks(figure, np.random.default_rng(4))
+@pytest.mark.parametrize("seed", range(5))
+def test_more_hair_goes_with_the_head_and_things_lie_in_hands_or_under_feet(figure, seed):
+    more = with_locks(figure, np.random.default_rng(seed))
     added = slice(len(figure.vertices), None)
     assert len(more.vertices) > len(figure.vertices)
     assert of(more, "hair")[added].all() and (more.carrier[added] == CARRIERS.index("head")).all()
@@ -42,6 +44,15 @@ def test_more_hair_goes_with_the_head_and_things_lie_in_hands_or_under_feet(figu
     gap = np.linalg.norm(props[:, None] - figure.hands[None], axis=2).min()
     assert gap < 0.15 * np.ptp(figure.vertices[:, 1])
     assert (full.hangs[of(full, "prop") | of(full, "ground")] == 0).all()
+
+
+def test_what_is_worn_on_top_is_new_and_does_not_swing(figure):
+    more = with_accessories(figure, np.random.default_rng(2))
+    added = slice(len(figure.vertices), None)
+    assert len(more.vertices) > len(figure.vertices)
+    assert not (more.hangs[added] == 1).any() and (more.part[added] != PARTS.index("prop")).all()
+    size = np.ptp(figure.vertices, axis=0).max()
+    assert np.ptp(more.vertices, axis=0).max() < 1.3 * size
 
 
 def test_one_skin_keeps_the_labels_of_what_it_covers(figure):
