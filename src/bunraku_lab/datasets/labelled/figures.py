@@ -24,7 +24,7 @@ from bunraku_lab.synthetic.families.model import Model
 from bunraku_lab.synthetic.families.people import humanoid
 from bunraku_lab.synthetic.fields import Lump
 from bunraku_lab.synthetic.makehuman import pose_points, random_body, random_rest
-from bunraku_lab.synthetic.wardrobe.character import is_quiet, open_closet, wardrobe_costume
+from bunraku_lab.synthetic.wardrobe.character import is_draped, open_closet, wardrobe_costume
 from bunraku_lab.synthetic.wardrobe.model import Costume
 
 __all__ = ["Labelled", "code_made", "draped", "dressed", "wardrobe"]
@@ -122,13 +122,9 @@ def carrier_of(name: str) -> int:
 
 def draped(seed: int) -> Labelled:
     """A character of the wardrobe with a coat, a cape or wide sleeves."""
-    for step in range(40):
-        other = seed + 1_000_000 * (step + 1)
-        if not is_quiet(other):
-            costume = wardrobe_costume(other)
-            if any(part.kind in ("cape", "coat", "sleeve") for part in costume.parts):
-                break
-    return _of_costume(costume)
+    while not is_draped(seed):
+        seed += 1_000_000
+    return _of_costume(wardrobe_costume(seed))
 
 
 def wardrobe(seed: int, closet: Path | None = None, body: Path | None = None) -> Labelled:

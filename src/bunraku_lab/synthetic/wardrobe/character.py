@@ -168,11 +168,21 @@ class _Plan:
     scarf: bool = False
 
 
-def wardrobe_costume(seed: int, *, clothes: str | Path | None = None, body_data: str | Path | None = None) -> Costume:
-    """What `wardrobe_character` is made of, before it becomes a character; `words` say what it wears."""
+def _begun(seed: int) -> tuple[np.random.Generator, str, str]:
+    """The generator of a character, how fine its mesh is, and its style."""
     rng = np.random.default_rng((seed, 6))
     detail = str(rng.choice(["coarse", "plain", "fine"], p=[0.22, 0.58, 0.2]))
-    style = str(rng.choice(list(_STYLES), p=list(_STYLES.values())))
+    return rng, detail, str(rng.choice(list(_STYLES), p=list(_STYLES.values())))
+
+
+def is_draped(seed: int) -> bool:
+    """Whether a character wears a cape, a coat or wide sleeves."""
+    return not is_quiet(seed) and _begun(seed)[2] in ("traveller", "coat", "robe")
+
+
+def wardrobe_costume(seed: int, *, clothes: str | Path | None = None, body_data: str | Path | None = None) -> Costume:
+    """What `wardrobe_character` is made of, before it becomes a character; `words` say what it wears."""
+    rng, detail, style = _begun(seed)
     form = str(rng.choice(["over", "cut", "painted"], p=[0.3, 0.4, 0.3]))
     makehuman, facets = bool(rng.random() < 0.5) and clothes is not None, bool(rng.random() < 0.4)
     closet: Closet | None = None
