@@ -9,14 +9,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tyro
 
 import bunraku
 from bunraku.cli import main
 from bunraku.cli.app import all_verbs
 from bunraku.cli.inspect import describe
+from bunraku.cli.options import ApparelOptions
+from bunraku.core.avatars import mmd_model
 from bunraku.core.nn.checkpoints import shipped_checkpoint
 from bunraku.core.request import WHOLE
+from bunraku.files.mmd.write import save_pmx
 from bunraku.files.samples import sample_names
+from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -150,6 +155,31 @@ def test_rig_writes_the_handles_as_a_skin(tmp_path, capsys):
     assert facts["rig"]["joints"] == 30 and facts["rig"]["influences"] <= 4
     assert facts["vertices"] == describe(tmp_path / "mushroom.glb")["vertices"]
     assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_rig_writes_what_can_be_written_and_says_why_the_rest_is_not(tmp_path, capsys):
+    """A mushroom has no skeleton of a person, which a VRM needs."""
+    need_weights()
+    assert main(["samples", "mushroom", "-o", str(tmp_path)]) == 0
+    avatar, mesh = tmp_path / "a.vrm", tmp_path / "a.glb"
+    assert main(["rig", str(tmp_path / "mushroom.glb"), "-o", str(avatar), "-o", str(mesh)]) == 2
+    assert not avatar.exists() and describe(mesh)["rig"]["joints"] == 30
+    assert f"{avatar} was not written: " in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.parametrize(("word", "factor"), [("stiff", 4), ("natural", 1), ("loose", 0.3), ("2.5", 2.5)])
+def test_the_feel_of_apparel_is_a_word_or_a_factor(word, factor):
+    assert tyro.cli(ApparelOptions, args=["--apparel-feel", word]).stiffness == factor
+
+
+def test_rig_keeps_the_physics_that_a_file_brings(tmp_path, capsys):
+    need_weights()
+    path = save_pmx(wardrobe_character(3), tmp_path / "doll.pmx")
+    assert main(["rig", str(path), "--apparel", "auto", "-o", str(tmp_path / "out.pmx")]) == 0
+    assert "the physics of its file kept" in " ".join(capsys.readouterr().out.split())
+    given, written = (mmd_model(bunraku.load_character(one)) for one in (path, tmp_path / "out.pmx"))
+    assert [body.name for body in written.bodies] == [body.name for body in given.bodies]
+    assert [joint.bodies for joint in written.joints] == [joint.bodies for joint in given.joints]
 
 
 def test_animate_writes_every_output_and_names_the_default(tmp_path, monkeypatch, capsys):

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from bunraku.retarget.pins import Pin
 
 __all__ = [
-    "ApparelOptions", "AxisOption", "DirectingOptions", "EditSamplingOptions", "GeneratingOptions", "PinOption",
-    "ProgramOption", "SamplingOptions", "SkeletonOption", "StandingOptions", "UnitOption", "check_axes",
+    "ApparelOptions", "AxisOption", "DirectingOptions", "EditSamplingOptions", "FeelOption", "GeneratingOptions",
+    "PinOption", "ProgramOption", "SamplingOptions", "SkeletonOption", "StandingOptions", "UnitOption", "check_axes",
     "parse_path", "parse_pin", "resolve_file", "said_axes", "stand_up", "stands_line",
 ]  # fmt: skip
 
@@ -194,6 +194,27 @@ class EditSamplingOptions(SamplingOptions):
     candidates: tyro.conf.Suppress[int] = 3
 
 
+FEELS = {"stiff": 4.0, "natural": 1.0, "loose": 0.3}
+"""Factors on the stiffness of apparel. Limits narrow by the root of that: a link turns half as far, or 1.8 times."""
+
+
+def _feel(words: list[str]) -> float:
+    try:
+        return FEELS.get(words[0]) or float(words[0])
+    except ValueError:
+        raise ValueError(f"it is {', '.join(FEELS)} or a factor, not '{words[0]}'") from None
+
+
+FeelOption = Annotated[
+    float,
+    tyro.conf.arg(name="apparel-feel"),
+    tyro.constructors.PrimitiveConstructorSpec(
+        nargs=1, metavar="{stiff,natural,loose,FACTOR}", instance_from_str=_feel,
+        is_instance=lambda value: isinstance(value, float | int), str_from_instance=lambda value: [f"{value:g}"],
+    ),
+]  # fmt: skip
+
+
 @dataclass(frozen=True)
 class ApparelOptions(Apparel):
     """`Apparel` on the command line."""
@@ -204,6 +225,8 @@ class ApparelOptions(Apparel):
     on any mesh, "learn" by a network alone, "auto" by the first of physics, bones and chains that there is; or the file
     of a mask (.npy, .txt, painted .ply or .glb) of what is to be learned.
     """
+    stiffness: FeelOption = 1.0
+    """How hair and clothes swing: stiff, natural or loose, or a factor on their stiffness, 0.001 to 1000."""
 
 
 @dataclass(frozen=True, kw_only=True)

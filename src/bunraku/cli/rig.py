@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from bunraku.cli.manifest import check_free, exclusive_output
-from bunraku.cli.options import SkeletonOption, StandingOptions, stand_up
+from bunraku.cli.options import FeelOption, SkeletonOption, StandingOptions, stand_up
 from bunraku.cli.outputs import OutputOption, check_different, check_input, check_output, stages, written_files
 from bunraku.core.request import GRAVITY, STIFFNESS
+from bunraku.errors import BunrakuError, OptionError
 from bunraku.pipelines.requests import Apparel
 
 if TYPE_CHECKING:
@@ -58,6 +59,22 @@ class _Shown:
         assert shown.rig is not None
         return cls(shown, None, False, f"{len(shown.rig.names)} joints")
 
+    @classmethod
+    def kept(cls, character: Character, suffix: str) -> _Shown | None:
+        """A character with the bones and the physics that its file brings, for a file of the same kind; None where it
+        brings none.
+        """
+        from bunraku.apparel.physics.rig import apparel_rig
+        from bunraku.core.avatars import mmd_model, vrm_model
+
+        models = {".pmx": mmd_model, ".vrm": vrm_model}
+        if suffix not in models or models[suffix](character) is None or apparel_rig(character) is None:
+            return None
+        assert character.rig is not None
+        return cls(
+            character, None, False, f"its own {len(character.rig.names)} bones, and the physics of its file kept"
+        )
+
     def avatar(self, suffix: str) -> MmdModel | VrmModel | None:
         """What a format holds of chains."""
         if self.chains is None or suffix not in (".vrm", ".glb", ".pmx"):
@@ -79,8 +96,8 @@ class Rig:
     character: tyro.conf.Positional[Path]
     """The mesh to rig."""
     output: OutputOption = ()
-    """GLB, FBX, VRM or PMX to write. May be given more than once. Default: CHARACTER-rigged.glb in this folder. A VRM
-    has a skeleton with VRM's names, a PMX one with any.
+    """GLB, FBX, VRM or PMX to write. May be given more than once; what can be written is, even where another file is
+    refused. Default: CHARACTER-rigged.glb in this folder. A VRM has a skeleton with VRM's names, a PMX one with any.
     """
     preview: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
     """Also make a page (.png) that shows what was decided: the front and the back coloured by handle, how the character
@@ -97,10 +114,11 @@ class Rig:
     apparel: Annotated[str, tyro.conf.arg(metavar="{none,auto,MASK}")] = "none"
     """Give hair and clothes bones of their own: "auto" where the file's physics or else a network find any, or where a
     mask (.npy, .txt, painted .ply or .glb) says. A VRM gets springs and colliders for them, a PMX rigid bodies and
-    joints, a GLB springs in its extras.
+    joints, a GLB springs in its extras. A VRM or PMX that has physics keeps its bones and its physics in a file of the
+    same kind.
     """
-    stiffness: float = 1.0
-    """How stiff apparel is, as a factor, 0.001 to 1000."""
+    stiffness: FeelOption = 1.0
+    """How hair and clothes swing: stiff, natural or loose, or a factor on their stiffness, 0.001 to 1000."""
     gravity: float = 1.0
     """How strongly apparel is drawn downwards, as a factor, 0 to 10."""
     overwrite: bool = False
@@ -116,7 +134,7 @@ class Rig:
         if self.apparel not in ("none", "auto"):
             Apparel(self.apparel).check("--")
             check_input(Path(self.apparel))
-        STIFFNESS.check(self.stiffness, "--stiffness")
+        STIFFNESS.check(self.stiffness, "--apparel-feel")
         GRAVITY.check(self.gravity, "--gravity")
         with exclusive_output((*outputs, *previews)):
             for path in outputs:
@@ -150,19 +168,29 @@ class Rig:
                 from bunraku.apparel.mask import read_artist_mask
 
                 mask = read_artist_mask(self.apparel, character)
-            made = {name: _Shown.of(anatomy, name, self.apparel != "none", mask, self.stiffness, self.gravity)
-                    for name in dict.fromkeys(skeletons.values())}  # fmt: skip
-            notes = {path: f"{made[skeletons[path]].words}, {facts.plan.words}" for path in outputs}
+            made, problems = dict[str | None, _Shown](), dict[Path, BunrakuError]()
+            notes: dict[Path, str] = {}
             with written_files(lambda path: notes.get(path, "")) as written:
-                for number, path in enumerate(outputs):
+                for number, (path, name) in enumerate(skeletons.items()):
                     report("write", number / len(outputs))
-                    shown = made[skeletons[path]]
-                    written.append(
-                        save_character(
-                            shown.character, path, handles if shown.bare else None, rig=not shown.bare,
-                            avatar=shown.avatar(path.suffix.lower()),
-                        )
-                    )  # fmt: skip
+                    try:
+                        suffix, asked = path.suffix.lower(), self.apparel != "none"
+                        shown = _Shown.kept(character, suffix) if self.apparel == "auto" and not self.skeleton else None
+                        if shown is None:
+                            made[name] = shown = made.get(name) or _Shown.of(
+                                anatomy, name, asked, mask, self.stiffness, self.gravity
+                            )
+                        written.append(
+                            save_character(
+                                shown.character, path, handles if shown.bare else None, rig=not shown.bare,
+                                avatar=shown.avatar(suffix),
+                            )
+                        )  # fmt: skip
+                        notes[path] = f"{shown.words}, {facts.plan.words}"
+                    except BunrakuError as error:
+                        if len(outputs) == 1:
+                            raise
+                        problems[path] = error
                 report("write", 1.0)
                 if self.preview is not None:
                     from bunraku.cli.options import stands_line
@@ -173,3 +201,8 @@ class Rig:
                     stands = stands_line(given, self.standing.up, self.standing.front)
                     lines = [stands, f"height: {character.height:.3g} m", *facts.lines]
                     written.append(save_still(character, self.preview, handles, views=2, lines=lines))
+            if problems:
+                reasons = (
+                    f"{path} was not written: {str(problems[path]).removeprefix(f'{path}: ')}" for path in problems
+                )
+                raise OptionError("\n".join(reasons))

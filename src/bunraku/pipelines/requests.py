@@ -94,7 +94,7 @@ class Apparel:
                 f"apparel moves by 'auto', 'none', 'simulate', 'chains' or 'learn', or is named by a mask "
                 f"({', '.join(MASKS)}), not '{self.motion}'; choose one of these"
             )
-        STIFFNESS.check(self.stiffness, f"{dashes}stiffness")
+        STIFFNESS.check(self.stiffness, "--apparel-feel" if dashes else "stiffness")
         GRAVITY.check(self.gravity, f"{dashes}gravity")
         if self.motion in ("simulate", "chains"):
             check_engine(f"apparel that moves by '{self.motion}'")
