@@ -22,6 +22,7 @@ from bunraku.apparel.chains.chain_rig import Chained, LaidChains, chain_rig, wit
 from bunraku.apparel.chains.from_bones import apparel_bones, bone_chains
 from bunraku.apparel.chains.from_shape import part_kinds, shape_chains, with_parts_from_file
 from bunraku.apparel.chains.moving import check_apparel, dialled, moving_rig, steady_simulation, with_apparel
+from bunraku.apparel.chains.sheets import pieces_of
 from bunraku.apparel.clothed import LOADS, ClothedCharacter, Swing
 from bunraku.apparel.mask import moved_joints
 from bunraku.apparel.physics.clothed_from_file import clothed_from_file
@@ -29,6 +30,7 @@ from bunraku.apparel.physics.rig import PhysicsSettings
 from bunraku.core.animation import RigAnimation
 from bunraku.core.avatars import mmd_model, vrm_model
 from bunraku.core.body.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
+from bunraku.core.body.reference import reference_body
 from bunraku.core.character import Character, Rig, top_influences
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.errors import CharacterError, FormatError
@@ -228,6 +230,35 @@ def test_what_is_held(laid: Laid) -> None:
         assert rig.parents[chain.bones[0]] == chain.holder < chain.bones[0]
         assert rig.parents[end] == chain.bones[-1]
         np.testing.assert_allclose(rig.positions[end], chain.points[-1])
+
+
+def test_a_tail_hangs_from_the_head_and_not_from_the_hip_that_it_touches() -> None:
+    """A tuft on the skull, and a strip that begins behind it and lies on the hips on its way to the floor."""
+    body = reference_body()
+    head, pelvis = (body.joints[JOINT_NAMES.index(name)] for name in ("head", "pelvis"))
+    back = body.vertices[np.abs(body.vertices[:, 1] - pelvis[1]) < 0.03][:, 2].min() - 0.005
+    down = np.interp(np.linspace(0, 1, 40), [0, 0.5, 1], [head[1] + 0.1, pelvis[1], 0.1])
+    away = np.interp(down, [0.1, pelvis[1], head[1] + 0.1], [back - 0.1, back, head[2] - 0.3])
+    tail = np.stack([np.tile([-0.03, 0.03], 40), np.repeat(down, 2), np.repeat(away, 2)], axis=1)
+    tuft = head + [[-0.03, 0.1, -0.05], [0.03, 0.1, -0.05], [-0.03, 0.15, -0.05], [0.03, 0.15, -0.05]]
+    first = np.arange(0, 78, 2)[:, None]
+    strip = np.concatenate([first + [0, 2, 1], first + [1, 2, 3]])
+    hair = np.concatenate([tail, tuft])
+    faces = np.concatenate([strip, [[80, 81, 82], [81, 83, 82]]]) + len(body.vertices)
+    apparel = np.arange(len(body.vertices) + len(hair)) >= len(body.vertices)
+    held = np.tile(np.eye(JOINT_COUNT, dtype=np.float32)[JOINT_NAMES.index("head")], (len(hair), 1))
+    part = np.full(len(apparel), -1)
+    part[apparel] = np.repeat([0, 1], [80, 4])
+    clothed = ClothedCharacter(
+        np.concatenate([body.vertices, hair]).astype(np.float32), np.concatenate([body.faces, faces]),
+        np.asarray(body.joints), np.concatenate([body.joint_weights, held]).astype(np.float32), apparel, part,
+        np.full(2, -1, np.float32), np.full(2, 0.9, np.float32),
+    )  # fmt: skip
+    (piece,) = pieces_of(clothed)[0]
+    order = np.argsort(-piece.points[:, 1])
+    order = order[piece.points[order, 2] < head[2] - 0.1]
+    assert (np.diff(piece.along[order]) > -0.02).all()
+    assert piece.along[order[-1]] > 0.9 * (down[0] - down[-1])
 
 
 def test_seams_stay_closed(laid: Laid) -> None:

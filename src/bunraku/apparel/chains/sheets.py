@@ -65,7 +65,10 @@ def pieces_of(clothed: ClothedCharacter) -> tuple[list[Piece], np.ndarray]:
     along[clean.index[cloth]] = surface_distances(clothed)[cloth]
     joint[clean.index[cloth]] = clothed.weights[cloth].argmax(axis=1)
     edges = unique_edges(clean.faces, count)
-    edges = edges[(part[edges] >= 0).all(axis=1)]
+    apparel = (part[edges] >= 0).sum(axis=1)
+    border = np.zeros(count, bool)
+    border[edges[apparel == 1]] = True
+    edges = edges[apparel == 2]
     groups, hair = list[tuple[str, int, np.ndarray]](), list[np.ndarray]()
     for number in range(int(part.max(initial=-1)) + 1):
         rows = np.flatnonzero(part == number)
@@ -79,12 +82,13 @@ def pieces_of(clothed: ClothedCharacter) -> tuple[list[Piece], np.ndarray]:
             groups.append((kind, carrier, rows))
     if hair:
         groups.insert(0, ("hair", _HEAD[0], np.concatenate(hair)))
-    return [_piece(clothed, kind, carrier, rows, points, along, edges) for kind, carrier, rows in groups], clean.index
+    pieces = [_piece(clothed, kind, carrier, rows, points, along, border, edges) for kind, carrier, rows in groups]
+    return pieces, clean.index
 
 
 def _piece(
     clothed: ClothedCharacter, kind: str, joint: int, rows: np.ndarray, points: np.ndarray, along: np.ndarray,
-    edges: np.ndarray,
+    border: np.ndarray, edges: np.ndarray,
 ) -> Piece:  # fmt: skip
     positions, count = points[rows], len(rows)
     index = np.full(len(points), -1)
@@ -95,7 +99,7 @@ def _piece(
     if kind in ("skirt", "cape"):
         pairs = np.concatenate([pairs, _through(positions, clothed.scale)])
     seeds = _held(clothed, kind, positions, along[rows])
-    seeds |= _apart(positions, pairs, seeds, along[rows], FAR * clothed.scale)
+    seeds |= _apart(positions, pairs, seeds, border[rows], clothed.scale)
     pairs = _bridged(positions, pairs, seeds)
     pairs = np.unique(np.sort(pairs, axis=1), axis=0)
     lengths = np.linalg.norm(positions[pairs[:, 0]] - positions[pairs[:, 1]], axis=1) + 1e-9
@@ -174,16 +178,20 @@ def _near(points: np.ndarray, among: np.ndarray, count: int, reach: float) -> np
     return np.stack([row, other], axis=1)[row != other]
 
 
-def _apart(points: np.ndarray, pairs: np.ndarray, seeds: np.ndarray, along: np.ndarray, far: float) -> np.ndarray:
-    """Points that hold components far from all that is held, (P,), bool: the lowest band of long hair."""
+def _apart(points: np.ndarray, pairs: np.ndarray, seeds: np.ndarray, border: np.ndarray, size: float) -> np.ndarray:
+    """Points that hold components apart from all that is held, (P,), bool: where they are one surface with the body,
+    or, far from all that is held, at their nearest end: a tail hangs from the head and not from a hip that it touches.
+    """
     label = mesh_parts(pairs, len(points))
     out = np.zeros(len(points), bool)
     loose = ~np.isin(label, label[seeds])
     gap = cKDTree(points[seeds]).query(points)[0]
     for number in np.unique(label[loose]):
         rows = np.flatnonzero(label == number)
-        if gap[rows].min() > far:
-            out[rows] = along[rows] <= along[rows].min() + 1e-9
+        if border[rows].any():
+            out[rows] = border[rows]
+        elif gap[rows].min() > FAR * size:
+            out[rows] = gap[rows] <= gap[rows].min() + EDGE * size
     return out
 
 
