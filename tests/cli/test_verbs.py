@@ -158,12 +158,12 @@ def test_rig_writes_the_handles_as_a_skin(tmp_path, capsys):
 
 
 def test_rig_writes_what_can_be_written_and_says_why_the_rest_is_not(tmp_path, capsys):
-    """A mushroom has no skeleton of a person, which a VRM needs."""
+    """A dragon has no skeleton of a person, which a VRM needs."""
     need_weights()
-    assert main(["samples", "mushroom", "-o", str(tmp_path)]) == 0
+    assert main(["samples", "dragon", "-o", str(tmp_path)]) == 0
     avatar, mesh = tmp_path / "a.vrm", tmp_path / "a.glb"
-    assert main(["rig", str(tmp_path / "mushroom.glb"), "-o", str(avatar), "-o", str(mesh)]) == 2
-    assert not avatar.exists() and describe(mesh)["rig"]["joints"] == 30
+    assert main(["rig", str(tmp_path / "dragon.glb"), "-o", str(avatar), "-o", str(mesh)]) == 2
+    assert not avatar.exists() and describe(mesh)["rig"]["joints"] >= 30
     assert f"{avatar} was not written: " in " ".join(capsys.readouterr().err.split())
 
 
