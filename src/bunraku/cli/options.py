@@ -195,8 +195,8 @@ class EditSamplingOptions(SamplingOptions):
 
 
 FEELS = {"stiff": 4.0, "natural": 1.0, "loose": 0.3}
-"""Factors on the stiffness of apparel. Limits narrow by their root, to half or 1.8 times: set on twelve files of MMD and
-VRM, in which links of hair turn 22 degrees in the median, and 10 to 35 from the stiffest to the loosest.
+"""Factors on the stiffness of apparel. Limits narrow by their root, to half or 1.8 times: set on twelve MMD and
+VRM files, in which links of hair turn 22 degrees in the median, and 10 to 35 from the stiffest to the loosest.
 """
 
 
