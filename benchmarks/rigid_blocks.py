@@ -34,7 +34,7 @@ from bunraku.pipelines.animator import Animator
 from bunraku.pipelines.requests import Request, Sampling
 
 SPACING = 0.005  # of the points that gaps are measured between, over the height: gaps are overrated by as much
-AROUND = 0.06  # points so near to where two blocks touch at rest are looked at, over the height
+AROUND = 0.06  # points so near to where two blocks touch at rest are looked at, by definition, over the height
 
 
 @dataclass(frozen=True)

@@ -470,7 +470,7 @@ def test_names_that_are_given_win():
     found = map_skeleton(skeleton, names)
     assert found.of("left_knee") == 2 and found.of("head") == 8 and found.of("neck") == -1
     assert found.how[JOINT_NAMES.index("left_hip")] == "given" and "left_wrist" in found.missing
-    with pytest.raises(MotionError, match="'nose' in the map of names is no joint; there are base, x"):
+    with pytest.raises(MotionError, match="'nose' in the map of names is not a joint; there are base, x"):
         map_skeleton(skeleton, {"head": "nose"})
     with pytest.raises(MotionError, match="'snout' in the map"):
         map_skeleton(skeleton, {"snout": "top"})

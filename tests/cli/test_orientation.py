@@ -48,8 +48,8 @@ def stls(tmp_path_factory):
 
 def test_axes_are_checked_before_any_work(fails, good, tmp_path):
     out = tmp_path / "out.glb"
-    assert "--up: 'w' is no axis" in fails("rig", good, "-o", out, "--up", "w")
-    assert "--front: 'up' is no axis" in fails("animate", good, "walks", "-o", out, "--front", "up")
+    assert "--up: 'w' is not an axis" in fails("rig", good, "-o", out, "--up", "w")
+    assert "--front: 'up' is not an axis" in fails("animate", good, "walks", "-o", out, "--front", "up")
     for words in (("--up", "-z", "--front", "z"), ("--up", "y", "--front", "+Y")):
         assert "lie along the same axis" in fails("rig", good, "-o", out, *words)
     assert "same axis" in fails("render", good, "-o", tmp_path / "out.png", "--up=-x", "--front=+x")

@@ -193,7 +193,7 @@ def test_what_is_wrong_is_one_sentence(fails, files):
     (files / "list.json").write_text("[1]")
     assert "object of texts" in fails("transfer", person, wave, "--map", files / "list.json")
     (files / "wrong.json").write_text('{"tail": "x"}')
-    assert "none of SMPL's joints" in fails("transfer", person, wave, "--map", files / "wrong.json")
+    assert "not one of SMPL's joints" in fails("transfer", person, wave, "--map", files / "wrong.json")
 
 
 def test_ray(files, fails):

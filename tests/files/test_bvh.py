@@ -139,7 +139,7 @@ def test_units_and_axes(tmp_path):
         assert np.linalg.norm(load_bvh(path, unit="m").skeleton.offsets[1]) == pytest.approx(
             np.linalg.norm(truth.skeleton.offsets[1]) / metres, rel=1e-3
         )
-    with pytest.raises(OptionError, match="'furlong' is no unit"):
+    with pytest.raises(OptionError, match="'furlong' is not a unit"):
         load_bvh(path, unit="furlong")
     with pytest.raises(OptionError, match="up in a BVH file"):
         load_bvh(path, up="+x")

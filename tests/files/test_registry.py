@@ -214,7 +214,7 @@ def test_a_lying_mesh_is_measured_as_it_would_stand(tmp_path):
 
 def test_an_unknown_unit_is_one_sentence(tmp_path):
     path = box(tmp_path / "box.obj", (1, 2, 1))
-    with pytest.raises(OptionError, match="'ft' is no unit of characters; there are auto, m, cm, mm, in"):
+    with pytest.raises(OptionError, match="'ft' is not a unit of characters; there are auto, m, cm, mm, in"):
         load_character(path, unit="ft")
 
 

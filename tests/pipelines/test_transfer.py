@@ -82,7 +82,7 @@ def test_names_settle_what_no_rule_knows(person):
     names = dict(zip(JOINT_NAMES, own.names, strict=True))
     want, have = (bunraku.transfer(person, some, names=known) for some, known in ((motion, None), (nameless, names)))
     assert np.abs(want.vertices() - have.vertices()).max() < 1e-4
-    with pytest.raises(bunraku.MotionError, match="is no joint"):
+    with pytest.raises(bunraku.MotionError, match="is not a joint"):
         bunraku.transfer(person, motion, names={"left_hip": "nowhere"})
 
 

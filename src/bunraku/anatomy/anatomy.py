@@ -49,16 +49,16 @@ def decimated(character: Character, handles: Handles) -> tuple[Character, Handle
         return character, handles
     vertices, used = character.vertices, np.flatnonzero(character.surface)
     low = vertices[used].min(axis=0)
-    some = character.faces[:: max(1, len(character.faces) // MANY)]
-    of_some = float(vertex_areas(vertices[some.ravel()], np.arange(some.size).reshape(-1, 3)).sum())
-    area = of_some * len(character.faces) / len(some)
+    sample = character.faces[:: max(1, len(character.faces) // MANY)]
+    of_some = float(vertex_areas(vertices[sample.ravel()], np.arange(sample.size).reshape(-1, 3)).sum())
+    area = of_some * len(character.faces) / len(sample)
     cell = max(float(np.sqrt(SPREAD * area / CELLS)), 1e-4 * float(np.ptp(vertices[used], axis=0).max()))
     corner = ((vertices[used] - low) / cell).astype(np.int64)
     wide = corner.max(axis=0) + 1
     weights = handles.weights[used]
     key = ((corner[:, 0] * wide[1] + corner[:, 1]) * wide[2] + corner[:, 2]) * weights.shape[1] + weights.argmax(axis=1)
-    own = part_extremes(vertices[used], weights)
-    key[own] = -1 - np.arange(len(own))
+    extremes = part_extremes(vertices[used], weights)
+    key[extremes] = -1 - np.arange(len(extremes))
     label = np.unique(key, return_inverse=True)[1]
     count = int(label.max()) + 1
     mean = csr_matrix((np.ones(len(used), np.float32), (label, np.arange(len(used)))), shape=(count, len(used)))
@@ -191,9 +191,9 @@ class Anatomy:
         """The rotation of each handle from the rest pose into the reference body's (K, 3, 3), and the joints."""
         if self.known is not None:
             return self.known
-        found = iter(self._estimates)
+        guess = iter(self._estimates)
         turns, joints = by_limb(
-            self.mesh_handles, lambda some: rest_of_limbs(self.mesh, some, next(found)), self._views
+            self.mesh_handles, lambda some: rest_of_limbs(self.mesh, some, next(guess)), self._views
         )
         for array in (turns, joints.positions, joints.parents, joints.present):
             array.setflags(write=False)
@@ -215,9 +215,9 @@ class Anatomy:
         still = np.tile(np.eye(3), (len(self.handles.positions), 1, 1))
         if self.known is not None:
             return replace(self, known=(still, self.known[1]))
-        found = iter(self._estimates)
+        guess = iter(self._estimates)
         rest = by_limb(
-            self.mesh_handles, lambda some: (still, refined_joints(self.mesh, some, next(found), still)), self._views
+            self.mesh_handles, lambda some: (still, refined_joints(self.mesh, some, next(guess), still)), self._views
         )
         return replace(self, known=rest)
 

@@ -27,10 +27,10 @@ __all__ = [
 
 
 # Chosen by eye on the characters of the archive.
-NEAR = 0.15  # a limb of a lying body is a leg if it ends so near to the lowest point, over the height
+NEAR = 0.15  # largest distance from the end of a leg of a lying body to the lowest point, over the height
 SHORTEST = 0.12  # least length of a leg, over the height; shorter ones are fins and stubs
-SOLE = 0.25  # part of a leg, from its end, that counts as its foot where it has no handle for one
-OWN = 0.45  # the lower part of a leg has a vertex of which it holds so much at the least; on a blob, parts blur
+SOLE = 0.25  # end of a leg that counts as its foot if it has no handle for one, over its length
+OWN = 0.45  # least weight that the lower part of a leg has on some vertex; on a blob, parts blur
 _PARTS = [limb_handles(side, family) for family in FAMILIES for side in SIDES]
 _LEGS = len(_PARTS) // 2
 
@@ -100,13 +100,13 @@ def find_arms(character: Character, handles: Handles, joints: Joints, legs: list
     """The arms of a character that are not among its legs, in the words for legs: a shoulder, an elbow and a wrist. The
     hand is the foot; arms of one rigid block may have none.
     """
-    known = {leg.upper for leg in legs}
+    leg_uppers = {leg.upper for leg in legs}
     limbs = (
         _leg(character, handles, joints, chain)
         for parts in _PARTS[_LEGS:]
         for chain in _chains(parts, handles.played, joints)
     )
-    return [limb for limb in limbs if limb is not None and limb.upper not in known]
+    return [limb for limb in limbs if limb is not None and limb.upper not in leg_uppers]
 
 
 def _chains(parts: list[int], played: np.ndarray, joints: Joints) -> list[list[int]]:
@@ -129,27 +129,29 @@ def _leg(character: Character, handles: Handles, joints: Joints, chain: list[int
     single = len(chain) == 1
     upper, lower, *foot = chain * 2 if single else chain
     weight = handles.weights[:, foot or [lower]].sum(axis=1)
-    own = np.flatnonzero(character.surface & (weight > 0.5))
-    blurred = bool(foot) and len(own) < 3  # a foot that holds no vertex mainly
+    members = np.flatnonzero(character.surface & (weight > 0.5))
+    blurred = bool(foot) and len(members) < 3  # a foot that holds no vertex mainly
     if blurred:
-        own = np.flatnonzero(character.surface & (handles.weights[:, [lower, *foot]].sum(axis=1) > 0.5))
-    if len(own) < 3 or float(handles.weights[:, lower].max()) < OWN:
+        members = np.flatnonzero(character.surface & (handles.weights[:, [lower, *foot]].sum(axis=1) > 0.5))
+    if len(members) < 3 or float(handles.weights[:, lower].max()) < OWN:
         return None
-    points = character.vertices[own].astype(np.float64)
+    points = character.vertices[members].astype(np.float64)
     hip, knee = joints.positions[upper], joints.positions[lower]
     if blurred or not foot:
         far = np.linalg.norm(points - knee, axis=1)
         near_end = far > (1 - SOLE) * far.max()
-        own, points = own[near_end], points[near_end]
+        members, points = members[near_end], points[near_end]
     ankle = joints.positions[foot[0]] if foot else points.mean(axis=0)
     found = np.stack([hip, 0.5 * (hip + ankle) if single else knee, ankle])
     length = float(np.linalg.norm(np.diff(found, axis=0), axis=1).sum() + max(ankle[1] - points[:, 1].min(), 0))
-    return Leg(upper, lower, tuple(foot), found, own[extreme_points(points)], own, length)
+    return Leg(upper, lower, tuple(foot), found, members[extreme_points(points)], members, length)
 
 
-STRAIGHT = 0.99  # how far a leg is stretched at the most, over its length
-SOFT = 0.94  # from where on stretching slows down, so that knees do not snap
-LEAST_SHIFT = 1e-9  # of an ankle [m]: legs whose feet move less are left bit for bit
+# Tried in a short run of the sample person and dog: 0.7 and 1.4 times STRAIGHT move them by up to 5 cm, 0.7 times SOFT
+# by up to 1.4 cm.
+STRAIGHT = 0.99  # largest stretch of a leg, over its length
+SOFT = 0.94  # stretch from which on it slows down, so that knees do not snap
+LEAST_SHIFT = 1e-9  # of an ankle [m]: less is far below what float32 keeps, and leaves legs bit for bit
 
 
 def move_feet(
@@ -248,9 +250,9 @@ def _bend(aside: np.ndarray, line: np.ndarray, root: np.ndarray) -> np.ndarray:
         line: From hip to ankle, shape (N, 3).
         root: Rotations of the root, shape (N, 3, 3): what a knee does in its frame is usual for it.
     """
-    own = np.einsum("nji,nj->ni", root, aside)
-    size = np.linalg.norm(own, axis=1)
-    mean = own.mean(axis=0)
+    direction = np.einsum("nji,nj->ni", root, aside)
+    size = np.linalg.norm(direction, axis=1)
+    mean = direction.mean(axis=0)
     usual = mean / np.linalg.norm(mean) if np.linalg.norm(mean) > 0.3 * size.mean() else np.array([0, 0, 1.0])
     helps = np.einsum("nij,j->ni", root, usual)
     helps -= (helps * line).sum(axis=1, keepdims=True) * line
@@ -329,8 +331,8 @@ _ARMS = [HANDLE_NAMES.index(f"{side}_{part}") for side in SIDES for part in ("sh
 _WINGS = [HANDLE_NAMES.index(f"{side}_wing") for side in SIDES]
 
 # Chosen by eye on the snakes, fish and winged bodies of tools/make_creature_sheets.py.
-LONG = (3.5, 1.0)  # length over height, lying and with the head up, from which on a body is a snake and no fish
-SPREAD = 0.15  # wings lie so far from the chest, over the height; a person's are the halves of the upper back
+LONG = (3.5, 1.0)  # length over height, lying and with the head up, from which on a body is a snake and not a fish
+SPREAD = 0.15  # least distance of wings from the chest, over the height; a person's are the halves of the upper back
 _TAIL = [HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")]
 
 
@@ -392,7 +394,7 @@ class BodyPlan:
     @property
     def words(self) -> str:
         """The same in words."""
-        known = {
+        words_of_kind = {
             "person": "an upright body with arms",
             "two legs": "a body on two legs",
             "four legs": "a body on four legs",
@@ -400,7 +402,7 @@ class BodyPlan:
             "no legs": "a body without legs",
         }
         more = [name for name, there in (("wings", self.wings), ("a tail", self.tail)) if there]
-        return known[self.kind] + (f", with {' and '.join(more)}" if more else "")
+        return words_of_kind[self.kind] + (f", with {' and '.join(more)}" if more else "")
 
 
 def plan_of(
@@ -416,21 +418,21 @@ def plan_of(
         further: The handles of each limb beyond those of a person.
         stands: Whether it is upright.
     """
-    found = {leg.upper for leg in legs}
+    uppers = {leg.upper for leg in legs}
     stiff = [
         limb
         for limb in _all_limbs(handles, joints, further)
-        if not found & set(limb) and _on_ground(character, handles, limb)
+        if not uppers & set(limb) and _on_ground(character, handles, limb)
     ]
     hind = sum(int(handles.played[leg.upper]) in _HIND for leg in legs)
-    own = joints.present & (handles.played == np.arange(len(handles.positions)))
+    itself = joints.present & (handles.played == np.arange(len(handles.positions)))
     arms = _ARMS[::2] if handles.rigid else _ARMS  # an arm of one block has no elbow
-    there = {name: bool(own[parts].all()) for name, parts in (("arms", arms), ("wings", _WINGS))}
+    there = {name: bool(itself[parts].all()) for name, parts in (("arms", arms), ("wings", _WINGS))}
     away = np.linalg.norm(handles.positions[_WINGS] - handles.positions[CHEST], axis=1)
     there["wings"] &= bool((away > SPREAD * character.height).all())
     extent = np.ptp(character.vertices[character.surface], axis=0)
     return BodyPlan(
-        hind=hind, front=len(legs) - hind, upright=stands, tail=bool(own[_TAIL].any()),
+        hind=hind, front=len(legs) - hind, upright=stands, tail=bool(itself[_TAIL].any()),
         arms=there["arms"], wings=there["wings"], long=bool(extent[2] > LONG[stands] * extent[1]), further=len(stiff),
     )  # fmt: skip
 
@@ -439,8 +441,8 @@ def _all_limbs(handles: Handles, joints: Joints, further: list[list[int]]) -> li
     """The handles of each limb of a body that has more than people have; none of others."""
     if not further:
         return []
-    own = joints.present & (handles.played == np.arange(len(handles.positions)))
-    plain = ([part for part in limb_handles(side, family) if own[part]] for side in SIDES for family in FAMILIES)
+    itself = joints.present & (handles.played == np.arange(len(handles.positions)))
+    plain = ([part for part in limb_handles(side, family) if itself[part]] for side in SIDES for family in FAMILIES)
     return [limb for limb in plain if limb] + further
 
 
@@ -467,8 +469,8 @@ def check_plans(source: BodyPlan, target: BodyPlan, name: str, flies: bool = Fal
     if flies:
         if not target.wings:
             raise CharacterError(
-                f"{name}: the motion is flown, and no wings are found on this character; give it the motion of a body "
-                "of its own kind, or look at `bunraku inspect` if it was set up wrongly"
+                f"{name}: the motion is a flight, and no wings are found on this character; give it the motion of a "
+                "body of its own kind, or look at `bunraku inspect` if it was set up wrongly"
             )
         return
     has, needs = target.kind, source.kind

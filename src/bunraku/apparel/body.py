@@ -169,7 +169,7 @@ class BodyVolume:
         """
         faces = faces[~apparel[faces].any(axis=1)]
         if not len(faces):
-            raise CharacterError(f"{name}: all of it is apparel, so there is no body to be inside of")
+            raise CharacterError(f"{name}: the whole mesh counts as apparel, so no body is left; mark less of it")
         used = np.unique(faces)
         points, index = np.unique(np.round(vertices[used].astype(np.float64), 6), axis=0, return_inverse=True)
         numbering = np.full(len(vertices), -1)
@@ -201,7 +201,7 @@ def _means(values: np.ndarray, groups: np.ndarray, count: int) -> np.ndarray:
 
 
 CELL = 0.015  # of the grid, over the character's size [m]
-BAND = 0.09  # distances beyond this are cut to it, over the character's size [m]
+BAND = 6 * CELL  # distances beyond this are cut to it, over the character's size [m]
 _MOST_CELLS = 2_000_000
 _FACES = 6_000
 OUTSIDE = 2.5  # cells from the body beyond which distances outside of it are good to a cell or two

@@ -29,7 +29,7 @@ NORMAL_STIFFNESS = -0.4
 """Of cloth that hangs, the median of the wardrobe: the stiffness of a part without springs and limits."""
 SOFTEST, STIFFEST = -2.2, 2.0  # range of stiffness that the networks were trained on
 FREE = np.pi  # limit of a joint without limits [rad]
-NARROW = 0.01  # the narrowest limit that differs from a locked joint [rad]
+NARROW = 0.01  # the narrowest limit that differs from a locked joint, as the networks were trained [rad]
 LOADS = 0.3
 """log10 of the load on a moving part over its weight: springs that rotate as far under it as the limits allow hold as
 the limits do. Chosen by eye.
@@ -109,7 +109,7 @@ class ClothedCharacter:
 _SIZES = {"lever": 3, "away": 3, "arm": 3, "axes": 9, "lower": 3, "upper": 3, "spring": 3, "friction": 1, "drag": 1,
           "weight": 1, "share": 1}  # fmt: skip
 SWING_NUMBERS = sum(_SIZES.values())
-AIR = 1.5  # largest rate at which the air takes speed, as in the simulation [1/s]
+AIR = 1.5  # largest rate at which the air takes speed, as in the simulation and the trained networks [1/s]
 SOLID = 2 / 3  # of a rod: as long is the pendulum that swings like it
 
 

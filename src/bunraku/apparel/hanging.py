@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import ConvexHull, cKDTree
 
+from bunraku.apparel.nodes import LARGE
 from bunraku.core.body.layout import JOINT_NAMES, sided
 from bunraku.core.geometry.axes import ROUND, covered, direction_bins, directions_about, goes_round
 from bunraku.core.geometry.graph import clean_mesh, mesh_parts, unique_edges
@@ -17,7 +18,6 @@ from bunraku.core.geometry.graph import clean_mesh, mesh_parts, unique_edges
 __all__ = ["hanging_mask"]
 
 # Lengths over the height. All were chosen by eye.
-LARGE = 0.3  # of the surface: a loose piece with more may be the body itself
 LIKELY, UNLIKELY = 0.5, 0.15  # mean likelihood of a loose piece that is apparel as a whole, or not at all
 HAIR = 0.04  # mean likelihood from which on a piece that comes down from the skull is hair
 AROUND = 0.9  # of the directions about the middle: a skirt covers so many below the crotch

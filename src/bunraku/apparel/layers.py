@@ -26,14 +26,14 @@ __all__ = ["Layers"]
 LEG = 0.6  # weight of the legs in what counts as a leg
 ROUNDS = 2  # of what lies over what, since there may be three layers
 BENEATH = 0.002  # how far under a vertex a point must lie at rest, over the character's size [m]
-SPREAD = 0.08  # how far around it what is moved takes the rest along, over the same [m]
+SPREAD = 0.08  # how far what is moved takes its surroundings along, over the same [m]
 FEW = 0.25  # share of what is around a vertex that must be moved for it to move by as much
-CELL = 0.02  # one vertex of a part stands for all in a cube of this, over the same [m]
-SOFT = 0.004  # how much what lacks height must lack to count whole, over the same [m]
-LEAST = 1e-3  # a way back to the skin that rises by less is none, over the same [m]
+CELL = 0.02  # edge of a cube in which one vertex stands for all others of its part, over the same [m]
+SOFT = 0.004  # lack of height from which on it counts in full, over the same [m]
+LEAST = 1e-3  # least rise of a way back to the skin, over the same [m]
 RISE = 0.2  # how far below the hips all that hangs goes back as far as it must, over the same [m]
 SMOOTH = 1.5  # standard deviation in time [frames]
-MOST = 0.2  # farther than this nothing is laid over another, over the same [m]
+MOST = 0.2  # farthest that anything is laid over something else, over the same [m]
 
 
 class _How(NamedTuple):
@@ -76,9 +76,9 @@ class Layers:
         few = _thinned(clothed, part, np.arange(len(part)))
         others = [(number, few[part[few] != number]) for number in range(int(part.max(initial=-1)) + 1)]
         self.rest = _Over(clothed, part, vertices, np.arange(len(vertices)), others, OVER_PARTS)
-        own = [self.skirt.vertices, self.skirt.used, *([self.rest.used] if len(self.rest) else [])]
-        self.seen = np.unique(np.concatenate(own))
-        self.hung, self.legs = (np.searchsorted(self.seen, row) for row in own[:2])
+        used = [self.skirt.vertices, self.skirt.used, *([self.rest.used] if len(self.rest) else [])]
+        self.seen = np.unique(np.concatenate(used))
+        self.hung, self.legs = (np.searchsorted(self.seen, row) for row in used[:2])
         if len(self.rest):
             # what of it is apparel is where the stage has brought it
             self.beneath = np.searchsorted(self.seen, self.rest.used)
@@ -153,12 +153,12 @@ class _Over:
         positions, sheet = rest[self.vertices[chosen]], part[self.vertices[chosen]]
         points, gap = np.zeros((len(chosen), how.near), np.int64), np.full((len(chosen), how.near), np.inf)
         for number, beneath in under:
-            own = np.flatnonzero(sheet == number) if number is not None else np.arange(len(sheet))
+            members = np.flatnonzero(sheet == number) if number is not None else np.arange(len(sheet))
             near = min(how.near, len(beneath))
-            if near and len(own):
-                found = cKDTree(rest[beneath]).query(positions[own], near)
-                gap[own, :near] = found[0].reshape(len(own), near)
-                points[own, :near] = beneath[found[1].reshape(len(own), near)]
+            if near and len(members):
+                nearest = cKDTree(rest[beneath]).query(positions[members], near)
+                gap[members, :near] = nearest[0].reshape(len(members), near)
+                points[members, :near] = beneath[nearest[1].reshape(len(members), near)]
         row, column = np.nonzero((gap <= how.reach * scale) & np.isfinite(gap))
         points = points[row, column]
         self._beneath(clothed.faces, points)
@@ -184,15 +184,15 @@ class _Over:
 
     def _shares(self, positions: np.ndarray, rest: np.ndarray, part: np.ndarray, spread: float) -> None:
         """How much each chosen vertex counts near each other one of its part, and for each vertex."""
-        tree, own = cKDTree(positions), part[self.chosen]
+        tree, own_part = cKDTree(positions), part[self.chosen]
         pairs = tree.sparse_distance_matrix(tree, 2 * spread, output_type="coo_matrix")
-        same = (own[pairs.row] == own[pairs.col]) | self.together
+        same = (own_part[pairs.row] == own_part[pairs.col]) | self.together
         share = np.exp(-0.5 * np.square(pairs.data[same] / spread))
         around = csr_matrix((share, (pairs.row[same], pairs.col[same])), shape=(len(positions),) * 2)
         self.around = around.multiply(1 / around.sum(axis=1)).tocsr().astype(np.float32)
         count = min(4, len(positions))
-        gap, near = (found.reshape(len(rest), count) for found in tree.query(rest, count))
-        weight = np.where((own[near] == part[:, None]) | self.together, 1 / (gap**2 + 1e-8), 1e-12)
+        gap, near = (values.reshape(len(rest), count) for values in tree.query(rest, count))
+        weight = np.where((own_part[near] == part[:, None]) | self.together, 1 / (gap**2 + 1e-8), 1e-12)
         weight /= weight.sum(axis=1, keepdims=True)
         begins = np.arange(0, near.size + 1, count)
         self.back = csr_matrix(

@@ -20,7 +20,6 @@ __all__ = [
 ]  # fmt: skip
 
 SUFFIXES = (".apparel.npy", ".apparel.txt", ".apparel.ply", ".apparel.glb")
-NEAR = 1e-3  # a painted vertex stands for those of the character that are as near, over its extent
 
 
 def artist_mask(character: Character) -> np.ndarray | None:
@@ -90,7 +89,7 @@ def _painted(path: Path, character: Character) -> np.ndarray:
     if painted.colors is None:
         raise FormatError(path, "its vertices have no colours; paint apparel red")
     distance, nearest = cKDTree(painted.vertices).query(character.vertices[character.surface])
-    if distance.max() > NEAR * float(np.ptp(character.vertices[character.surface], axis=0).max()):
+    if distance.max() > 1e-3 * float(np.ptp(character.vertices[character.surface], axis=0).max()):
         raise FormatError(
             path,
             "its vertices are not where the character's are; paint the same mesh in the same pose, +Y up and facing +Z",

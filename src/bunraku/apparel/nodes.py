@@ -22,7 +22,7 @@ __all__ = [
 ]  # fmt: skip
 
 MOSTLY = 0.4  # of a loose piece's points: a piece of which so many are apparel is apparel
-LARGE = 0.3  # of all points: a piece with more may be the body itself
+LARGE = 0.3  # of all points: a piece with more may be the body itself; chosen by eye
 
 
 def whole_pieces(vertices: np.ndarray, faces: np.ndarray, apparel: np.ndarray) -> np.ndarray:
@@ -69,7 +69,7 @@ def _welded(vertices: np.ndarray, faces: np.ndarray, apparel: np.ndarray) -> tup
 
 NEIGHBOURS = 6
 LEAST = 3  # nodes of a part
-HELD = 0.08  # of a part's extent: vertices as near to what holds it are held
+HELD = 0.08  # of a part's extent: vertices as near to what holds it are held, as the networks were trained
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +92,7 @@ class ApparelNodes:
 
 
 def apparel_nodes(clothed: ClothedCharacter, most: int = 256) -> ApparelNodes:
-    """At most so many nodes: at least three of every part, the rest where the gaps are widest (farthest points)."""
+    """At most this many nodes: at least three of every part, the rest where the gaps are widest (farthest points)."""
     cloth = np.flatnonzero(clothed.part >= 0)
     points, parts = clothed.rest[cloth].astype(np.float64), clothed.part[cloth]
     held, distance, length = _attachment(clothed)
@@ -132,8 +132,8 @@ def _spread(points: np.ndarray, parts: np.ndarray, most: int) -> np.ndarray:
 
     def take(index: int) -> None:
         chosen.append(index)
-        own = parts == parts[index]  # parts do not pass messages to one another
-        gap[own] = np.minimum(gap[own], np.square(points[own] - points[index]).sum(axis=1))
+        same_part = parts == parts[index]  # parts do not pass messages to one another
+        gap[same_part] = np.minimum(gap[same_part], np.square(points[same_part] - points[index]).sum(axis=1))
 
     order = np.argsort(-np.bincount(parts), kind="stable")
     for part in order:
@@ -273,9 +273,9 @@ class EdgeBlock:
     """
 
     def __init__(self, width: int, weights: Weights):
-        own = weights.linear("edge.own", width, width)
+        itself = weights.linear("edge.own", width, width)
         self.neighbour: Linear = weights.linear("edge.neighbour", width, width, bias=False)
-        self.own = Linear(own.matrix - self.neighbour.matrix, own.bias)
+        self.own = Linear(itself.matrix - self.neighbour.matrix, itself.bias)
         self.pooled: Linear = weights.linear("pooled", width, width, bias=False)
         self.norm: Norm = weights.norm("norm", width)
 

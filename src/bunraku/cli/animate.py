@@ -69,7 +69,7 @@ def read_lines(path: Path, seconds: float, force: bool, named: bool = False) -> 
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except UnicodeDecodeError:
-        raise FormatError(path, "this is no text in UTF-8; save it as plain text with one prompt a line") from None
+        raise FormatError(path, "this is not text in UTF-8; save it as plain text with one prompt a line") from None
     prompts = []
     for number, line in enumerate(lines, 1):
         if line.strip():
@@ -88,15 +88,15 @@ def characters_of(folder: Path) -> dict[Path, str]:
     """
     from bunraku.files import READERS
 
-    known = READERS["character"]
+    readers = READERS["character"]
     try:
-        found = sorted(path for path in folder.iterdir() if path.suffix.lower() in known and path.is_file())
+        paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in readers and path.is_file())
     except OSError as error:
         raise FormatError(folder, f"this folder cannot be read ({error.strerror}); name another") from None
-    if not found:
+    if not paths:
         raise FormatError(folder, "no character lies in this folder; name one with meshes, such as .glb")
-    stems = [path.stem.lower() for path in found]
-    return {path: path.stem if stems.count(path.stem.lower()) == 1 else path.name for path in found}
+    stems = [path.stem.lower() for path in paths]
+    return {path: path.stem if stems.count(path.stem.lower()) == 1 else path.name for path in paths}
 
 
 @dataclass(frozen=True)
@@ -364,14 +364,14 @@ class Animate(GeneratingOptions):
         if self.add and self._batch():
             raise OptionError("--add is for one file; say --one-file, or leave it out")
         if self._batch() and (self.preview or self.directing.after or len(self.output) > 1 or self.takes > 1):
-            what = "--prompts" if self.prompts is not None else "a folder of characters"
-            raise OptionError(f"{what} makes GLB files in one folder (-o), without --preview, --after and --takes")
+            subject = "--prompts" if self.prompts is not None else "a folder of characters"
+            raise OptionError(f"{subject} makes GLB files in one folder (-o), without --preview, --after and --takes")
         if self.prompts is None:
             if self.character.is_dir() and len(self.prompt) > 1:
                 raise OptionError("a folder of characters takes one prompt, or the lines of --prompts")
             several = self.add or len(self.prompt) > 1
-            said = self.prompt or ("",)
-            return [check_sequence(prompt, self.sampling.seconds, self.force, several) for prompt in said]
+            prompts = self.prompt or ("",)
+            return [check_sequence(prompt, self.sampling.seconds, self.force, several) for prompt in prompts]
         return read_lines(self.prompts, self.sampling.seconds, self.force, self.one_file)
 
 

@@ -23,20 +23,20 @@ Verbs = dict[tuple[str, ...], tuple[str, str, str]]
 
 _TABLE = (
     ("animate", "animate", "Animate", "make a character do what a sentence says"),
-    ("transfer", "transfer", "Transfer", "put a motion that exists already on a character, or many on many"),
+    ("transfer", "transfer", "Transfer", "put an existing motion on a character, or many on many"),
     ("edit", "edit", "Edit", "keep a part of a clip and generate the rest"),
     ("rig", "rig", "Rig", "give a character its 30 handles as a skin, without motion"),
-    ("merge", "edit", "Merge", "join the clips of one character from several files in one"),
-    ("inspect", "inspect", "Inspect", "tell what a file holds"),
+    ("merge", "edit", "Merge", "join the clips of one character from several files into one"),
+    ("inspect", "inspect", "Inspect", "describe what a file holds"),
     ("render", "render", "Render", "make a video or a picture of an animated file, a character or a motion"),
     ("studio", "studio", "Studio", "open a page: drop a character, type a sentence, watch it move"),
     ("serve", "serving", "Serve", "let other programs call these tools, by MCP"),
-    ("comfyui-nodes", "studio", "ComfyuiNodes", "write the nodes for ComfyUI, which ask the studio"),
-    ("godot-addon", "studio", "GodotAddon", "write the add-on for Godot 4, which asks the studio"),
-    ("blender-addon", "studio", "BlenderAddon", "write the add-on for Blender, which asks the studio"),
+    ("comfyui-nodes", "studio", "ComfyuiNodes", "write the nodes for ComfyUI, which call the studio"),
+    ("godot-addon", "studio", "GodotAddon", "write the add-on for Godot 4, which calls the studio"),
+    ("blender-addon", "studio", "BlenderAddon", "write the add-on for Blender, which calls the studio"),
     ("clips", "clips", "Clips", "list and search the clip library, or put a clip on a character"),
     ("samples", "clips", "Samples", "write the sample characters"),
-    ("doctor", "doctor", "Doctor", "tell what this installation has, what is missing, and what that costs"),
+    ("doctor", "doctor", "Doctor", "say what this installation has, what is missing, and what that costs"),
 )
 VERBS: Verbs = {(word,): (f"bunraku.cli.{module}", name, summary) for word, module, name, summary in _TABLE}
 
@@ -48,10 +48,10 @@ def all_verbs() -> Verbs:
     """The verbs of this package, then those that installed packages add."""
     from importlib.metadata import entry_points
 
-    found = dict(VERBS)
+    verbs = dict(VERBS)
     for entry in sorted(entry_points(group=_GROUP), key=lambda entry: entry.name):
-        found |= {words: verb for words, verb in entry.load().items() if words not in VERBS}
-    return found
+        verbs |= {words: verb for words, verb in entry.load().items() if words not in VERBS}
+    return verbs
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -147,9 +147,9 @@ def _check_once(kind: type, words: Sequence[str]) -> None:
     if len(set(given)) == len(given) and not {"-o", "--output"} <= set(given):
         return
     for names in _single_paths(kind):
-        found = [name for name in given if name in names]
-        if len(found) > 1:
-            raise OptionError(f"{found[-1]} is given {len(found)} times, and one is taken; leave the others out")
+        repeated = [name for name in given if name in names]
+        if len(repeated) > 1:
+            raise OptionError(f"{repeated[-1]} is given {len(repeated)} times, and one is taken; leave the others out")
 
 
 def _single_paths(kind: Any) -> list[set[str]]:

@@ -73,14 +73,14 @@ class Clips:
         SECONDS.check(self.seconds, "--seconds")
         FPS.check(self.fps, "--fps")
         text = " ".join(self.words)
-        found = search(text, self.tag)
-        named = [clip for clip in found if clip.name == text]
+        clips = search(text, self.tag)
+        named = [clip for clip in clips if clip.name == text]
         if self.character is None and not self.output and not self.preview:
-            self._print(found)
-        elif not found:
+            self._print(clips)
+        elif not clips:
             raise OptionError(f"no clip is found for '{text[:60]}'; `bunraku clips` lists all of them")
         else:
-            self._write((named or found)[0])
+            self._write((named or clips)[0])
 
     def _print(self, found: list[Clip]) -> None:
         if self.json:
@@ -143,14 +143,14 @@ class Samples:
         from bunraku.core.files import atomic_write, read_bounded
         from bunraku.files import sample_file, sample_names
 
-        known = tuple(sample_names())
+        samples = tuple(sample_names())
         for name in self.names:
-            if name not in known:
-                raise OptionError(f"there is no sample '{name}'; there are {', '.join(known)}")
+            if name not in samples:
+                raise OptionError(f"there is no sample '{name}'; there are {', '.join(samples)}")
         if self.list:
-            print("\n".join(known))
+            print("\n".join(samples))
             return
-        names = self.names or known
+        names = self.names or samples
         one_file = bool(self.output.suffix) and not self.output.is_dir()
         if one_file:
             if len(names) > 1:

@@ -155,15 +155,15 @@ def _weights() -> Iterator[Finding]:
         with safe_open(path, framework="np") as file:
             count = len(list(file.keys()))
         card = path.with_suffix(".md")
-        said = f"card {card.name}" if card.is_file() else "no model card"
-        yield Finding(f"{name} weights", "ok", f"{path}, {size_text(path.stat().st_size)}, {count} tensors, {said}")
+        about = f"card {card.name}" if card.is_file() else "no model card"
+        yield Finding(f"{name} weights", "ok", f"{path}, {size_text(path.stat().st_size)}, {count} tensors, {about}")
 
 
 def _body() -> Iterator[Finding]:
     folder = Path(__file__).resolve().parents[1] / "core" / "body"
-    found = ", ".join(f"{path.name}, {size_text(path.stat().st_size)}" for path in sorted(folder.glob("*.npz")))
-    if found:
-        yield Finding("reference body", "ok", found)
+    files = ", ".join(f"{path.name}, {size_text(path.stat().st_size)}" for path in sorted(folder.glob("*.npz")))
+    if files:
+        yield Finding("reference body", "ok", files)
     else:
         cost = "motions cannot be converted; install Bunraku again"
         yield Finding("reference body", "missing", f"nothing in {folder}", cost)

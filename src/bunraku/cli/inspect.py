@@ -105,11 +105,11 @@ def shape_facts(anatomy: Anatomy) -> dict[str, Any]:
         if not clothed.apparel.any():
             return {}
         parts = _part_facts(anatomy.character, clothed)
-        made = rig_with_chains(anatomy, clothed=clothed)
+        rig = rig_with_chains(anatomy, clothed=clothed)
     except CharacterError:  # nothing was found, or not on such a body
         return {}
-    assert made.character.rig is not None
-    return {"apparel": parts} | _chain_facts(made.chains, made.character.rig.names)
+    assert rig.character.rig is not None
+    return {"apparel": parts} | _chain_facts(rig.chains, rig.character.rig.names)
 
 
 def _part_facts(character: Character, clothed: Any) -> list[dict[str, Any]]:
@@ -317,11 +317,11 @@ def _mapping(skeleton: Skeleton) -> dict[str, Any]:
     from bunraku.errors import MotionError
 
     try:
-        found = map_skeleton(skeleton)
+        mapped = map_skeleton(skeleton)
     except MotionError:
         return {"convention": "unknown", "mapping": {}}
-    named = {name: skeleton.names[joint] for name, joint in zip(JOINT_NAMES, found.joints, strict=True) if joint >= 0}
-    return {"convention": found.convention or "unknown", "mapping": named, "missing": list(found.missing)}
+    named = {name: skeleton.names[joint] for name, joint in zip(JOINT_NAMES, mapped.joints, strict=True) if joint >= 0}
+    return {"convention": mapped.convention or "unknown", "mapping": named, "missing": list(mapped.missing)}
 
 
 def _character(character: Character, unit: str) -> dict[str, Any]:

@@ -54,16 +54,16 @@ def unfinished(marks: Mapping[Path, str], overwrite: bool = False) -> list[Path]
     if not marks:
         return []
     folder = next(iter(marks)).parent
-    known = _entries(folder)
+    entries = _entries(folder)
     remove_leftovers(folder)
     todo: list[Path] = []
     taken: list[Path] = []
     for path, mark in marks.items():
-        made, state = known.get(path.name, ("", None))
+        fingerprint, state = entries.get(path.name, ("", None))
         here = _state(path)
-        if here is not None and made == mark and state == here:
+        if here is not None and fingerprint == mark and state == here:
             continue
-        if here is not None and not (made == mark and state is None):
+        if here is not None and not (fingerprint == mark and state is None):
             taken.append(path)
         todo.append(path)
     if taken and not overwrite:

@@ -168,12 +168,12 @@ def _percent(chance: float) -> str:
 
 def _listed(axes: tuple[str, str], given: list[bool]) -> str:
     words = (f"{axes[0].upper()} up", f"facing {axes[1].upper()}")
-    return ", ".join(word for word, said in zip(words, given, strict=True) if not said)
+    return ", ".join(word for word, named in zip(words, given, strict=True) if not named)
 
 
 def _typed(axes: tuple[str, str], given: list[bool]) -> str:
     """The options that say these axes, those that are not given."""
-    return " ".join(f"{option} {axis}" for option, axis, said in zip(OPTIONS, axes, given, strict=True) if not said)
+    return " ".join(f"{option} {axis}" for option, axis, named in zip(OPTIONS, axes, given, strict=True) if not named)
 
 
 @dataclass(frozen=True)
@@ -314,12 +314,12 @@ def parse_pin(text: str) -> Pin:
     """
     from bunraku.retarget.pins import PINNED, Pin
 
-    found = _PIN.fullmatch(text.strip())
+    match = _PIN.fullmatch(text.strip())
     try:
-        if found is None:
+        if match is None:
             raise ValueError
-        x, y, z = _numbers(found["place"], 3)
-        return Pin(found["part"].replace("-", "_"), float(found["time"]), (x, y, z), None, float(found["hold"] or 0))
+        x, y, z = _numbers(match["place"], 3)
+        return Pin(match["part"].replace("-", "_"), float(match["time"]), (x, y, z), None, float(match["hold"] or 0))
     except ValueError:
         raise OptionError(
             f"--pin is a part, a time and a position in metres, such as left_hand@2.0=0.3,1.4,0.2 (parts: "

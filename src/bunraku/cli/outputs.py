@@ -153,9 +153,9 @@ def check_output(path: Path, suffixes: Iterable[str], inputs: Iterable[Path] = (
         suffixes: Suffixes that the verb can write, with their dots.
         inputs: Files that must not be overwritten.
     """
-    known = list(suffixes)
-    if path.suffix.lower() not in known:
-        raise FormatError(path, f"{_describe(path)} cannot be written here; end the name in {_listed(known)}")
+    allowed = list(suffixes)
+    if path.suffix.lower() not in allowed:
+        raise FormatError(path, f"{_describe(path)} cannot be written here; end the name in {_listed(allowed)}")
     if path.is_dir():
         raise FormatError(path, "this is a folder; name a file in it")
     if any(path.exists() and other.exists() and path.samefile(other) for other in inputs):
@@ -461,11 +461,11 @@ def run_results(
             yield from zip(batch, work(batch), strict=True)
         return
     given = [[result.resolved() if jobs == "ray" else result for result in batch] for batch in batches]
-    known = {
-        there: here for some, batch in zip(given, batches, strict=True) for there, here in zip(some, batch, strict=True)
+    results = {
+        there: here for row, batch in zip(given, batches, strict=True) for there, here in zip(row, batch, strict=True)
     }
     for result, reason in run_parallel(partial(_worked, work), given, jobs, str):
-        yield known[result], reason
+        yield results[result], reason
 
 
 def _worked(work: Work[AnyResult], batch: list[AnyResult]) -> list[str]:

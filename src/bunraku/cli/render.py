@@ -108,7 +108,7 @@ class Render:
         if not isinstance(motion, HandleMotion):
             raise FormatError(
                 self.file,
-                "this is no handle motion, whatever its suffix says; write one with `bunraku animate -o motion.npz`",
+                "this is not handle motion, whatever its suffix says; write one with `bunraku animate -o motion.npz`",
             )
         character = self.standing.load(self.character)
         return Animation(character, rig(character, progress=report), motion)

@@ -49,10 +49,10 @@ class _Shown:
 
         handles = len(anatomy.handles.positions)
         if apparel:
-            made = rig_with_chains(anatomy, skeleton, mask, stiffness, gravity)
-            assert made.character.rig is not None
-            words = f"{len(made.character.rig.names)} bones, {len(made.chains)} chains of hair and clothes"
-            return cls(made.character, made, False, words)
+            chain_rig = rig_with_chains(anatomy, skeleton, mask, stiffness, gravity)
+            assert chain_rig.character.rig is not None
+            words = f"{len(chain_rig.character.rig.names)} bones, {len(chain_rig.chains)} chains of hair and clothes"
+            return cls(chain_rig.character, chain_rig, False, words)
         if skeleton is None:
             return cls(anatomy.character, None, True, f"{handles} handles")
         shown = on_skeleton(anatomy, skeleton)

@@ -68,10 +68,10 @@ class Tools:
 
     def path(self, name: str) -> Path:
         """The file of a name; FormatError where it lies outside the folder."""
-        found = path_inside(self._root, name) if name.strip() else None
-        if found is None:
+        path = path_inside(self._root, name) if name.strip() else None
+        if path is None:
             raise FormatError(name or "a file without a name", "name a file in the folder that is served, or below it")
-        return found
+        return path
 
     def files(self) -> Answer:
         """The files of the served folder, at most 1,000."""
@@ -114,15 +114,15 @@ class Tools:
         from bunraku.files import load_character
         from bunraku.pipelines.animator import Animator
 
-        found = Constraints.from_json(constraints)
-        _check_files(apparel, found)
-        request = Request(sentence, sampling, found, apparel, force=force, rig=rig)
+        limits = Constraints.from_json(constraints)
+        _check_files(apparel, limits)
+        request = Request(sentence, sampling, limits, apparel, force=force, rig=rig)
         request.check()
         request = request.with_parsed()
         target = self._target(output, character, request.prompt)
         notes: list[str] = []
-        made = Animator.shipped(note=notes.append)(load_character(self.path(character)), request)
-        return self._written(made, target, fps, list(dict.fromkeys(notes)))
+        animation = Animator.shipped(note=notes.append)(load_character(self.path(character)), request)
+        return self._written(animation, target, fps, list(dict.fromkeys(notes)))
 
     def transfer(
         self,
@@ -161,8 +161,8 @@ class Tools:
         target = self._target(output, character, name if kind == "clip" else Path(motion).stem)
         given = find_clip(name).motion() if kind == "clip" else self.path(motion)
         source = Source(given, request.fps, request.names, request.clip)
-        made = transferred(Animator.shipped(), load_character(self.path(character)), source, request)
-        return self._written(made, target, fps, [])
+        animation = transferred(Animator.shipped(), load_character(self.path(character)), source, request)
+        return self._written(animation, target, fps, [])
 
     def rig(self, character: str, output: str = "", skeleton: Literal["", "mixamo", "vrm", "unreal"] = "") -> Answer:
         """Give a character its 30 handles as a skin, or the skeleton of an engine; gives a picture of both sides.
@@ -217,11 +217,11 @@ class Tools:
         from bunraku.files import load_animation
         from bunraku.render.preview import save_preview
 
-        found = load_animation(self.path(file), int(clip) if clip.isdecimal() else clip or 0, fps)
-        facts: dict[str, Any] = {"seconds": round(len(found.motion) / fps, 3)}
+        animation = load_animation(self.path(file), int(clip) if clip.isdecimal() else clip or 0, fps)
+        facts: dict[str, Any] = {"seconds": round(len(animation.motion) / fps, 3)}
         if output:
-            facts["file"] = self._name(save_preview(found, self._output(output), fps=fps))
-        return Answer(facts, _png(lambda path: save_preview(found, path, frames=PICTURE_FRAMES)))
+            facts["file"] = self._name(save_preview(animation, self._output(output), fps=fps))
+        return Answer(facts, _png(lambda path: save_preview(animation, path, frames=PICTURE_FRAMES)))
 
     def clips(self, text: str = "") -> Answer:
         """Search the library of captured and made clips; `transfer` puts one on a character as "clip:NAME".
@@ -231,8 +231,8 @@ class Tools:
         """
         from bunraku.generation.library import search
 
-        found = [{"name": clip.name, "sentence": clip.sentence, "tags": list(clip.tags)} for clip in search(text)]
-        return Answer({"clips": found[:MOST_FOUND]})
+        clips = [{"name": clip.name, "sentence": clip.sentence, "tags": list(clip.tags)} for clip in search(text)]
+        return Answer({"clips": clips[:MOST_FOUND]})
 
     def _target(self, output: str, character: str, said: str) -> Path:
         from bunraku.pipelines.requests import clip_names

@@ -203,8 +203,8 @@ class Transfer:
 
         if len(characters) != 1:
             raise OptionError(f"--for writes the clips of one character; name one of these {len(characters)} at a time")
-        said = (("--preview", self.preview), ("--file-up", self.file_up), ("--file-unit", self.file_unit))
-        for option, value in (*said, ("--format", self.format != "glb"), ("--jobs", self.jobs != "1")):
+        options = (("--preview", self.preview), ("--file-up", self.file_up), ("--file-unit", self.file_unit))
+        for option, value in (*options, ("--format", self.format != "glb"), ("--jobs", self.jobs != "1")):
             if value:
                 raise OptionError(f"--for says what is written, and how; leave out {option}")
         row, (character,) = preset_named(program), characters
@@ -414,8 +414,8 @@ def _outputs() -> tuple[str, ...]:
 def _suffix(text: str) -> str:
     suffix = f".{text.lower().removeprefix('.')}"
     if suffix not in _outputs():
-        known = ", ".join(known[1:] for known in _outputs())
-        raise OptionError(f"--format names no format that is written: {text[:40]!r}; there are {known}")
+        suffixes = ", ".join(suffix[1:] for suffix in _outputs())
+        raise OptionError(f"--format names no format that is written: {text[:40]!r}; there are {suffixes}")
     return suffix
 
 
@@ -434,5 +434,5 @@ def _read_map(path: Path) -> dict[str, str]:
 
     for name in names:
         if name not in JOINT_NAMES:
-            raise FormatError(path, f"'{name[:40]}' is none of SMPL's joints: {', '.join(JOINT_NAMES)}")
+            raise FormatError(path, f"'{name[:40]}' is not one of SMPL's joints: {', '.join(JOINT_NAMES)}")
     return dict(sorted(names.items()))

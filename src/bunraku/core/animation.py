@@ -84,9 +84,9 @@ class Animation(Shown):
 
     def take(self, frames: slice) -> Animation:
         """Some of the frames, and of `reference` where it has as many."""
-        known = self.reference
-        known = known.take(frames) if known is not None and len(known) == len(self.motion) else None
-        return Animation(self.character, self.handles, self.motion.take(frames), known)
+        reference = self.reference
+        reference = reference.take(frames) if reference is not None and len(reference) == len(self.motion) else None
+        return Animation(self.character, self.handles, self.motion.take(frames), reference)
 
 
 @dataclass(frozen=True, eq=False)

@@ -170,7 +170,7 @@ def unpack_steps(data: bytes, rows: int, columns: int, order: int, filters: Sequ
     try:
         planes = lzma.LZMADecompressor(lzma.FORMAT_RAW, filters=list(filters)).decompress(data, size + 1)
     except (lzma.LZMAError, EOFError) as error:
-        raise ValueError("these bytes were not packed so") from error
+        raise ValueError("these bytes were packed in another way") from error
     if len(planes) != size:
         raise ValueError("these bytes hold another number of rows")
     folded = np.frombuffer(planes, np.uint8).reshape(4, -1).T.copy().view("<u4").reshape(columns, rows)

@@ -374,7 +374,7 @@ def warning_sentences(warnings: dict[str, list[str]]) -> tuple[str, ...]:
     """One line for each problem of a file, with the first names of its subjects."""
     out = []
     for problem, names in warnings.items():
-        some = ", ".join(" ".join(name.split())[:40] for name in names[:3] if name)
+        listed = ", ".join(" ".join(name.split())[:40] for name in names[:3] if name)
         more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-        out.append(f"{problem}: {some}{more}" if some else problem)
+        out.append(f"{problem}: {listed}{more}" if listed else problem)
     return tuple(out)

@@ -53,12 +53,12 @@ def open_once() -> Iterator[None]:
 @contextmanager
 def open_input(path: Path) -> Iterator[BinaryIO]:
     """A file to be read from its beginning; within `open_once` the one that is open already."""
-    known = _open.get()
-    if known is None:
+    already_open = _open.get()
+    if already_open is None:
         with path.open("rb") as file:
             yield file
         return
-    stack, files = known
+    stack, files = already_open
     if path not in files:
         files[path] = stack.enter_context(path.open("rb"))
     files[path].seek(0)
@@ -221,11 +221,11 @@ def remove_leftovers(folder: Path) -> int:
     removed = 0
     with suppress(OSError):  # no folder, nothing left
         for entry in os.scandir(folder):
-            found = _TEMPORARY.fullmatch(entry.name)
-            if found is None or not entry.is_file(follow_symlinks=False):
+            match = _TEMPORARY.fullmatch(entry.name)
+            if match is None or not entry.is_file(follow_symlinks=False):
                 continue
             with suppress(OSError):
-                gone = found["machine"] == _machine() and not _alive(int(found["process"]))
+                gone = match["machine"] == _machine() and not _alive(int(match["process"]))
                 if gone or time.time() - entry.stat().st_mtime > STALE:
                     os.unlink(entry.path)
                     removed += 1

@@ -94,11 +94,11 @@ def read_json(data: bytes, name: str, most: int = MOST_BYTES) -> Any:
     for _ in range(DEEPEST):
         brackets = brackets.replace(b"[]", b"").replace(b"{}", b"")
     if brackets:
-        raise OptionError(f"{name} is no JSON, or is nested more than {DEEPEST} deep; write it again")
+        raise OptionError(f"{name} is not JSON, or is nested more than {DEEPEST} deep; write it again")
     try:
         return json.loads(data.decode("utf-8-sig"), parse_constant=no_constant)
     except (ValueError, RecursionError):
-        raise OptionError(f"{name} is no JSON; write it again") from None
+        raise OptionError(f"{name} is not JSON; write it again") from None
 
 
 def no_constant(name: str) -> NoReturn:
@@ -117,9 +117,9 @@ def to_json(thing: object) -> Any:
     if type(thing).__name__ == "ndarray":
         return cast("Any", thing).tolist()
     if isinstance(thing, tuple | list):
-        return [to_json(one) for one in thing]
+        return [to_json(entry) for entry in thing]
     if isinstance(thing, dict):
-        return {str(name): to_json(one) for name, one in thing.items()}
+        return {str(name): to_json(entry) for name, entry in thing.items()}
     if thing is None or isinstance(thing, bool | int | float | str):
         return thing
     raise OptionError(f"{type(thing).__name__} has no form in JSON; save it as a file and name that")
@@ -141,11 +141,11 @@ def from_json(kind: type[Kind], data: object, name: str = "") -> Kind:
     if not isinstance(data, dict):
         raise OptionError(f"{name} must be an object, not {_shown(data)}")
     hints = get_type_hints(kind)
-    known = {field.name: field for field in fields(cast(Any, kind)) if field.init}
+    by_name = {field.name: field for field in fields(cast(Any, kind)) if field.init}
     for key in data:
-        if key not in known:
-            raise OptionError(f"{name} has no '{str(key)[:40]}'; it has {', '.join(known)}")
-    for key, field in known.items():
+        if key not in by_name:
+            raise OptionError(f"{name} has no '{str(key)[:40]}'; it has {', '.join(by_name)}")
+    for key, field in by_name.items():
         if key not in data and field.default is MISSING and field.default_factory is MISSING:
             raise OptionError(f"{name} needs '{key}'")
     return kind(**{key: _value(hints[key], value, key) for key, value in data.items()})
@@ -159,7 +159,7 @@ def _value(hint: Any, value: Any, name: str) -> Any:
     if origin in (Union, types.UnionType):
         if value is None and type(None) in inner:
             return None
-        return _value(next(one for one in inner if one is not type(None)), value, name)
+        return _value(next(inner_kind for inner_kind in inner if inner_kind is not type(None)), value, name)
     if origin is Literal:
         if value not in inner or isinstance(value, bool):
             raise OptionError(f"{name} is one of {', '.join(map(str, inner))}, not {_shown(value)}")
@@ -201,23 +201,23 @@ def _tuple(inner: tuple[Any, ...], value: Any, name: str) -> tuple[Any, ...]:
     if len(inner) == 2 and inner[1] is Ellipsis:
         if len(value) > MOST_ENTRIES:
             raise OptionError(f"{name} has more than {MOST_ENTRIES} entries")
-        return tuple(_value(inner[0], one, name) for one in value)
+        return tuple(_value(inner[0], entry, name) for entry in value)
     if len(value) != len(inner):
-        what = "numbers" if set(inner) <= {int, float} else "entries"
-        raise OptionError(f"{name} must be {_COUNTS.get(len(inner), len(inner))} {what}, not {len(value)}")
-    return tuple(_value(hint, one, name) for hint, one in zip(inner, value, strict=True))
+        noun = "numbers" if set(inner) <= {int, float} else "entries"
+        raise OptionError(f"{name} must be {_COUNTS.get(len(inner), len(inner))} {noun}, not {len(value)}")
+    return tuple(_value(hint, entry, name) for hint, entry in zip(inner, value, strict=True))
 
 
 def _array(value: Any, name: str) -> Any:
     import numpy as np  # here, since a prompt is parsed without it
 
     try:
-        found = np.asarray(value)
+        array = np.asarray(value)
     except (ValueError, OverflowError, RecursionError):
-        found = np.empty(0, object)
-    if found.dtype.kind not in "if" or found.size > MOST_ENTRIES or not np.isfinite(found).all():
+        array = np.empty(0, object)
+    if array.dtype.kind not in "if" or array.size > MOST_ENTRIES or not np.isfinite(array).all():
         raise OptionError(f"{name} must be rows of at most {MOST_ENTRIES} finite numbers, all of one length")
-    return found.astype(np.float64)
+    return array.astype(np.float64)
 
 
 def _shown(value: Any) -> str:

@@ -27,8 +27,8 @@ def provide(**functions: str) -> None:
 def provided(name: str) -> Callable[..., Any]:
     """The function of a name; its module is imported now."""
     module, _, function = _provided[name].partition(":")
-    found: Callable[..., Any] = getattr(import_module(module), function)
-    return found
+    provided_function: Callable[..., Any] = getattr(import_module(module), function)
+    return provided_function
 
 
 class Saved:

@@ -170,14 +170,14 @@ def decomposed(rest: np.ndarray, posed: np.ndarray, bones: int) -> RigidBones:
         bones: How many, at most as many as points.
     """
     rest, posed = np.asarray(rest, np.float64), np.asarray(posed, np.float64)
-    some = np.linspace(0, len(posed) - 1, min(FEW_FRAMES, len(posed))).astype(np.int64)
-    few = posed[some]
+    frames = np.linspace(0, len(posed) - 1, min(FEW_FRAMES, len(posed))).astype(np.int64)
+    few = posed[frames]
     weights = _clusters(rest, few, min(bones, len(rest)))
     turns, moves = _rigid(rest, posed, weights)
     for _ in range(ROUNDS):
-        weights = _best_weights(rest, few, turns[some], moves[some])
+        weights = _best_weights(rest, few, turns[frames], moves[frames])
         turns, moves = _refined(rest, posed, weights, turns, moves)
-    weights = _best_weights(rest, few, turns[some], moves[some])
+    weights = _best_weights(rest, few, turns[frames], moves[frames])
     worst = 0.0
     for start in range(0, len(posed), 64):
         cut = slice(start, start + 64)
@@ -196,8 +196,8 @@ def _clusters(rest: np.ndarray, posed: np.ndarray, bones: int) -> np.ndarray:
     seeds, gap = [int(np.square(rest - rest.mean(axis=0)).sum(axis=1).argmax())], np.full(len(rest), np.inf)
     while len(seeds) < bones:  # spread in the rest pose, and where points move apart
         moved = posed[:: max(1, len(posed) // 8)]
-        own = np.concatenate([rest[None], moved])
-        gap = np.minimum(gap, np.square(own - own[:, seeds[-1], None]).sum(axis=-1).mean(axis=0))
+        poses = np.concatenate([rest[None], moved])
+        gap = np.minimum(gap, np.square(poses - poses[:, seeds[-1], None]).sum(axis=-1).mean(axis=0))
         seeds.append(int(gap.argmax()))
     owner = np.square(rest[:, None] - rest[seeds][None]).sum(axis=-1).argmin(axis=1)
     for _ in range(CLUSTERING):
@@ -253,20 +253,20 @@ class _Products:
         """From bones in frames, seen from the mean of the points in each frame."""
         middle = posed.mean(axis=1)
         flat = (posed - middle[:, None]).transpose(1, 0, 2).reshape(len(rest), -1)
-        whole = np.concatenate([rest, np.ones((len(rest), 1))], axis=1)
+        homogeneous = np.concatenate([rest, np.ones((len(rest), 1))], axis=1)
         placed = np.concatenate([turns, (moves - middle[:, None])[..., None]], axis=-1)
         count = placed.shape[1]
         taken = np.ascontiguousarray(placed.transpose(1, 3, 0, 2)).reshape(4 * count, -1)
-        cross = ((flat @ taken.T).reshape(len(rest), count, 4) * whole[:, None]).sum(axis=-1)
+        cross = ((flat @ taken.T).reshape(len(rest), count, 4) * homogeneous[:, None]).sum(axis=-1)
         bones = (taken @ taken.T).reshape(count, 4, count, 4).transpose(0, 2, 1, 3)
-        return cls(whole, np.square(flat).sum(axis=1), cross, np.ascontiguousarray(bones))
+        return cls(homogeneous, np.square(flat).sum(axis=1), cross, np.ascontiguousarray(bones))
 
     def errors(self) -> np.ndarray:
         """Squared distance of each point from where each bone alone takes it, over all frames, shape (M, B)."""
         every = np.arange(len(self.bones))
         pairs = (self.points[:, :, None] * self.points[:, None]).reshape(-1, 16)
-        own = pairs @ self.bones[every, every].reshape(-1, 16).T
-        return np.asarray(own - 2 * self.cross + self.square[:, None])
+        squared = pairs @ self.bones[every, every].reshape(-1, 16).T
+        return np.asarray(squared - 2 * self.cross + self.square[:, None])
 
     def grams(self, rows: slice, columns: np.ndarray) -> np.ndarray:
         """For some points, products G of the errors of their C bones, shape (m, C, C): weights w that sum to 1 have the
@@ -288,20 +288,20 @@ def _best_weights(rest: np.ndarray, posed: np.ndarray, turns: np.ndarray, moves:
         rows = slice(start, start + _CHUNK)
         columns = near[rows]
         gram = products.grams(rows, columns)
-        found = np.zeros(columns.shape)
-        least = np.full(len(found), np.inf)
+        weights = np.zeros(columns.shape)
+        least = np.full(len(weights), np.inf)
         for size in range(1, min(INFLUENCES, columns.shape[1]) + 1):
             for chosen in combinations(range(columns.shape[1]), size):
-                own = gram[:, chosen][:, :, chosen]
-                own = own + 1e-9 * (np.trace(own, axis1=1, axis2=2)[:, None, None] + 1e-12) * np.eye(size)
-                share = np.linalg.solve(own, np.ones((len(own), size, 1)))[..., 0]
+                block = gram[:, chosen][:, :, chosen]
+                block = block + 1e-9 * (np.trace(block, axis1=1, axis2=2)[:, None, None] + 1e-12) * np.eye(size)
+                share = np.linalg.solve(block, np.ones((len(block), size, 1)))[..., 0]
                 share /= share.sum(axis=1, keepdims=True)
-                error = np.einsum("mi,mij,mj->m", share, own, share)
+                error = np.einsum("mi,mij,mj->m", share, block, share)
                 good = (share >= 0).all(axis=1) & (error < least * (1 - 1e-9))
                 least = np.where(good, error, least)
-                found[good] = 0
-                found[np.ix_(good, chosen)] = share[good]
-        np.put_along_axis(out[rows], columns, found, axis=1)
+                weights[good] = 0
+                weights[np.ix_(good, chosen)] = share[good]
+        np.put_along_axis(out[rows], columns, weights, axis=1)
     return out
 
 

@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from bunraku.core.geometry.curves import MonotoneCurve, gaussian, smooth_step
+from bunraku.core.geometry.curves import STRIDE, MonotoneCurve, gaussian, smooth_step
 from bunraku.core.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, matrix_y
 from bunraku.core.motion import HandleMotion
 from bunraku.core.request import Constraint
@@ -117,8 +117,8 @@ class GroundPath(Constraint):
         speed = np.linalg.norm(velocity, axis=1)
         moves = np.flatnonzero(speed > 1e-3 * max(float(speed.max()), 1e-12))
         angle = np.unwrap(np.arctan2(velocity[moves, 0], velocity[moves, 1]))
-        whole = np.interp(np.arange(frames), moves, angle)
-        return np.asarray(gaussian(whole, 0.15 * fps) + (math.pi if backwards else 0.0))
+        headings = np.interp(np.arange(frames), moves, angle)
+        return np.asarray(gaussian(headings, 0.15 * fps) + (math.pi if backwards else 0.0))
 
 
 def bent_to_path(
@@ -140,10 +140,6 @@ def bent_to_path(
     sway *= np.tanh(far) / np.maximum(far, 1e-9)
     root[:, [0, 2]] = want + sway
     return replace(motion, root_translation=root)
-
-
-SWAY = 0.5
-"""What the root does faster than this stays in a motion on the spot [s]."""
 
 
 def _yaw(first: np.ndarray, last: np.ndarray) -> float:
@@ -178,8 +174,8 @@ def repeated(motion: HandleMotion, before: int, after: int) -> HandleMotion:
     last = len(motion) - 1
     if last < 1:
         return motion
-    whole = np.arange(-before, last + after + 1)
-    rounds, frames = np.divmod(whole, last)
+    indices = np.arange(-before, last + after + 1)
+    rounds, frames = np.divmod(indices, last)
     step = matrix_y(np.array([_yaw(motion.root_rotation[0], motion.root_rotation[-1])]))[0]
     displacement = motion.root_translation[-1].astype(float) - step @ motion.root_translation[0]
     positions, turns = {0: np.zeros(3)}, {0: np.eye(3)}
@@ -249,13 +245,13 @@ def in_place(motion: HandleMotion, loop: bool = False) -> HandleMotion:
     """
     if len(motion) < 3:
         return motion
-    margin = round(4 * SWAY * motion.fps)
+    margin = round(4 * STRIDE * motion.fps)  # what the root does faster than this stays
     path = motion.root_translation.astype(float)
     if loop:
         longer = repeated(motion, margin, margin).root_translation.astype(float)
     else:
         longer = np.pad(path, ((margin, margin), (0, 0)), mode="reflect", reflect_type="odd")
-    displacement = gaussian(longer, SWAY * motion.fps)[margin : margin + len(path)]
+    displacement = gaussian(longer, STRIDE * motion.fps)[margin : margin + len(path)]
     out = path - displacement
     out[:, [0, 2]] += path[0, [0, 2]] - out[0, [0, 2]]
     out[:, 1] = path[:, 1]
@@ -329,14 +325,14 @@ def put_back_runs(
     """`put_back` of several spans, each given by its first frame and the one after its last, in order; frames outside
     of all are kept.
     """
-    whole = original
+    unbroken = original
     for first, after in runs:
         piece = put_back(made, original, handles, first, after, fade)
-        arrays = {name: np.array(getattr(whole, name)) for name in HandleMotion.arrays}
+        arrays = {name: np.array(getattr(unbroken, name)) for name in HandleMotion.arrays}
         for name, array in arrays.items():
             array[first:after] = getattr(piece, name)[first:after]
-        whole = replace(made.with_arrays(arrays), fps=original.fps)
-    return whole
+        unbroken = replace(made.with_arrays(arrays), fps=original.fps)
+    return unbroken
 
 
 def _fade(length: int) -> np.ndarray:

@@ -203,8 +203,8 @@ def merge(paths: Sequence[str | Path], path: str | Path, *, end_to_start: bool =
         raise FormatError(path, "clips are merged into a GLB; end the name in .glb")
     check_output_folder(path)
     if not end_to_start:
-        return merge_documents([Path(some) for some in paths], path)
-    clips = [clip for some in paths for clip in _clips(Path(some), fps)]
+        return merge_documents([Path(file) for file in paths], path)
+    clips = [clip for file in paths for clip in _clips(Path(file), fps)]
     first = clips[0]
     return save_rig_clips({path.stem: joined([_on(clip, first, Path(paths[0])) for clip in clips])}, path, fps=fps)
 
@@ -216,19 +216,19 @@ def _clips(path: Path, fps: float) -> list[RigAnimation]:
     if not count:
         raise FormatError(path, "it holds no clip to merge; make one with `bunraku animate`")
     played = [load_animation(path, number, fps) for number in range(count)]
-    return [RigAnimation.of_world(played[0].character, *bones_of(one), fps) for one in played]
+    return [RigAnimation.of_world(played[0].character, *bones_of(pose), fps) for pose in played]
 
 
 def _on(clip: RigAnimation, first: RigAnimation, path: Path) -> RigAnimation:
     """A clip with its bones in the order of another's; FormatError where the bones are others."""
-    own, theirs = first.character.rig, clip.character.rig
-    assert own is not None and theirs is not None
+    ours, theirs = first.character.rig, clip.character.rig
+    assert ours is not None and theirs is not None
     places = {name: bone for bone, name in enumerate(theirs.names)}
-    if not set(own.names) <= set(places):
-        lacking = next(name for name in own.names if name not in places)
+    if not set(ours.names) <= set(places):
+        lacking = next(name for name in ours.names if name not in places)
         raise FormatError(path, f"the files are of several characters: one has no bone '{lacking}'; use `transfer`")
-    order = [places[name] for name in own.names]
-    size = max(float(np.ptp(own.positions, axis=0).max()), 1e-9)
-    if np.abs(own.positions - theirs.positions[order]).max() > SAME_BONES * size:
+    order = [places[name] for name in ours.names]
+    size = max(float(np.ptp(ours.positions, axis=0).max()), 1e-9)
+    if np.abs(ours.positions - theirs.positions[order]).max() > SAME_BONES * size:
         raise FormatError(path, "the files are of several characters: their bones rest elsewhere; use `transfer`")
     return RigAnimation(first.character, clip.rotations[:, order], clip.translations[:, order], clip.fps)

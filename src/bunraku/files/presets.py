@@ -14,9 +14,9 @@ import numpy as np
 from bunraku.core.animation import AnimatedCharacter, Animation, RigAnimation
 from bunraku.core.character import Handles
 from bunraku.core.files import check_output_folder, read_bounded
-from bunraku.core.geometry.curves import gaussian
+from bunraku.core.geometry.curves import STRIDE, gaussian
 from bunraku.core.geometry.rotations import heading, matrix_y
-from bunraku.core.travel import SWAY, in_place
+from bunraku.core.travel import in_place
 from bunraku.errors import FormatError, OptionError
 from bunraku.files.gltf.clips import merge_documents
 from bunraku.files.gltf.open import open_document
@@ -90,9 +90,9 @@ def _travel(path: np.ndarray, fps: float) -> np.ndarray:
     """The travel of a path over the ground from its start, without its sway [m], shape (N, 3)."""
     if len(path) < 3:
         return np.zeros_like(path)
-    margin = round(4 * SWAY * fps)
+    margin = round(4 * STRIDE * fps)
     longer = np.pad(path, ((margin, margin), (0, 0)), mode="reflect", reflect_type="odd")
-    smooth = gaussian(longer, SWAY * fps)[margin : margin + len(path)]
+    smooth = gaussian(longer, STRIDE * fps)[margin : margin + len(path)]
     out = smooth - smooth[0]
     out[:, 1] = 0
     return np.asarray(out)
@@ -137,13 +137,13 @@ def save_clips(
         if suffix == ".fbx":
             raise OptionError("clips are added to a GLB, not to an FBX; write all clips at once")
         return _added(animations, path, fps)
-    bones = {name: one for name, one in animations.items() if isinstance(one, RigAnimation)}
-    handles = {name: one for name, one in animations.items() if isinstance(one, Animation)}
+    bones = {name: animation for name, animation in animations.items() if isinstance(animation, RigAnimation)}
+    handles = {name: animation for name, animation in animations.items() if isinstance(animation, Animation)}
     first = next(iter(animations.values()))
-    alike = all(one.character is first.character for one in animations.values())
+    alike = all(animation.character is first.character for animation in animations.values())
     if handles and alike:
-        own = handles[next(iter(handles))].handles
-        alike = all(_same_handles(one.handles, own) for one in handles.values())
+        first_handles = handles[next(iter(handles))].handles
+        alike = all(_same_handles(animation.handles, first_handles) for animation in handles.values())
     if len(animations) not in (len(bones), len(handles)) or not alike:
         raise OptionError(
             "the clips of one file are of one character, moved by the same handles or bones, without apparel that "
@@ -236,15 +236,15 @@ def preset_named(name: str) -> Preset:
     Raises:
         OptionError: There is none of this name.
     """
-    found = next((one for one in PRESETS if one.name == name), None)
-    if found is None:
-        raise OptionError(f"there is no preset '{name}'; there are {', '.join(one.name for one in PRESETS)}")
-    return found
+    preset = next((row for row in PRESETS if row.name == name), None)
+    if preset is None:
+        raise OptionError(f"there is no preset '{name}'; there are {', '.join(row.name for row in PRESETS)}")
+    return preset
 
 
 def preset_rows() -> list[dict[str, object]]:
     """All presets as plain values."""
-    return [asdict(one) for one in PRESETS]
+    return [asdict(preset) for preset in PRESETS]
 
 
 def save_for(

@@ -137,7 +137,7 @@ class SettledUnit:
 def check_unit(unit: str, option: str = "unit") -> None:
     """Raise OptionError unless this is a unit of characters or "auto"."""
     if unit not in UNIT_CHOICES:
-        raise OptionError(f"{option}: '{unit}' is no unit of characters; there are {', '.join(UNIT_CHOICES)}")
+        raise OptionError(f"{option}: '{unit}' is not a unit of characters; there are {', '.join(UNIT_CHOICES)}")
 
 
 def resolve_unit(height: float, suffix: str, unit: str = "auto") -> SettledUnit:
@@ -213,21 +213,21 @@ def _suffix_of(path: Path, kind: str, start: bytes = b"") -> str:
     """
     functions = READERS[kind] if start else WRITERS[kind]
     suffix = path.suffix.lower()
-    found = next((known for magic, known in _MAGIC.items() if start.startswith(magic)), "")
-    if not found and start.lstrip()[:1] == b"{" and suffix in (".glb", ".vrm"):
+    by_magic = next((magic_suffix for magic, magic_suffix in _MAGIC.items() if start.startswith(magic)), "")
+    if not by_magic and start.lstrip()[:1] == b"{" and suffix in (".glb", ".vrm"):
         suffix = ".gltf"
-    if not found and start and suffix in _MARKED:
+    if not by_magic and start and suffix in _MARKED:
         raise FormatError(
             path,
             f"its contents are not those of a {suffix} file; it is broken or has the wrong suffix, export it again",
         )
-    found = found or suffix
-    if found in functions:
-        return found
-    what = f"'{suffix}'" if suffix else "a file without a suffix"
+    by_magic = by_magic or suffix
+    if by_magic in functions:
+        return by_magic
+    subject = f"'{suffix}'" if suffix else "a file without a suffix"
     hint = "; export it as GLB, for example with Blender" if start and kind == "character" else ""
     done = f"{_PLURALS[kind]} are {'read from' if start else 'written to'}"
-    raise FormatError(path, f"{what} is not a format for this; {done} {', '.join(functions)}{hint}")
+    raise FormatError(path, f"{subject} is not a format for this; {done} {', '.join(functions)}{hint}")
 
 
 def _resolve(target: str) -> Callable[..., Any]:
@@ -293,8 +293,8 @@ def _read(path: str | Path, kind: str, **options: object) -> Any:
     function = _resolve(READERS[kind][suffix])
     try:
         with np.errstate(all="ignore"):  # broken numbers are found by what they lead to
-            known = _parameters(function)
-            return function(path, data, **{name: value for name, value in options.items() if name in known})
+            parameters = _parameters(function)
+            return function(path, data, **{name: value for name, value in options.items() if name in parameters})
     except CharacterError as error:
         raise CharacterError(f"{path}: {str(error).removeprefix(f'{path.stem}: ')}") from None
     except MotionError as error:
@@ -476,11 +476,11 @@ def _write(kind: str, path: str | Path, options: dict[str, object], *things: Any
     if os.path.isdir(path):
         raise FormatError(path, "this is a folder; name a file inside it")
     function = _resolve(WRITERS[kind][_suffix_of(path, kind)])
-    known = {name for name, parameter in _parameters(function).items() if parameter.kind is parameter.KEYWORD_ONLY}
+    parameters = {name for name, parameter in _parameters(function).items() if parameter.kind is parameter.KEYWORD_ONLY}
     for option in options:
-        if option not in known:
+        if option not in parameters:
             raise OptionError(
-                f"{path.suffix} files have no option '{option}'; they have: {', '.join(sorted(known)) or 'none'}"
+                f"{path.suffix} files have no option '{option}'; they have: {', '.join(sorted(parameters)) or 'none'}"
             )
     check_output_folder(path)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):

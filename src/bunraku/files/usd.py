@@ -187,11 +187,11 @@ def pieces(character: Character) -> list[Piece]:
                 used, local = np.unique(faces, return_inverse=True)
                 material = primitives[member].get("material")
                 uv = _coordinates(document, primitives[member], len(vertices))
-                own = None if uv is None else np.ascontiguousarray(uv[used], np.float32)
+                uvs = None if uv is None else np.ascontiguousarray(uv[used], np.float32)
                 number = material if type(material) is int else None
                 out.append(
                     Piece(
-                        f"{prim_name(str(title), 'Mesh')}_{len(out)}", vertices[used], local.reshape(-1, 3), own, number
+                        f"{prim_name(str(title), 'Mesh')}_{len(out)}", vertices[used], local.reshape(-1, 3), uvs, number
                     )
                 )
     return out
@@ -239,7 +239,6 @@ def add_mesh(
     return mesh
 
 
-SMALL = 1e-5  # weights under this move nothing that is seen
 CHUNK = 32  # frames posed at once
 
 
@@ -457,8 +456,8 @@ def _influences(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """All weights that matter, largest first: joints (V, M) int32 and shares (V, M) float32, with as many columns as
     needed.
     """
-    most = max(int((weights > SMALL).sum(axis=1).max()), 1)
-    indices, shares = top_influences(np.where(weights > SMALL, weights, 0), most)
+    seen = np.where(weights > 1e-5, weights, 0)  # less moves nothing that is seen
+    indices, shares = top_influences(seen, max(int((seen > 0).sum(axis=1).max()), 1))
     return np.ascontiguousarray(indices, np.int32), np.ascontiguousarray(shares, np.float32)
 
 

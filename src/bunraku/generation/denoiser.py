@@ -85,7 +85,7 @@ class FewSteps:
         for name, (up, down) in self.changes.items():
             matrix = state.get(name)
             if matrix is None or up.ndim != 2 or down.ndim != 2 or matrix.shape != (len(up), down.shape[1]):
-                raise ValueError(f"'{name}' is no matrix of the denoiser that has this change's size")
+                raise ValueError(f"'{name}' is not a matrix of the denoiser with this change's size")
         return _Changed(state, self.changes)
 
 

@@ -22,6 +22,7 @@ import numpy as np
 
 from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_MIRROR, HANDLE_NAMES, HANDLE_PARENTS, JOINT_COUNT, JOINT_NAMES
 from bunraku.core.body.reference import leg_length, reference_body
+from bunraku.core.geometry.curves import STANDS
 from bunraku.core.geometry.rotations import heading, matrix_from_6d, matrix_to_6d, matrix_y
 from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.errors import MotionError
@@ -34,9 +35,6 @@ __all__ = [
 ROOT_SIZE, HANDLE_SIZE = 10, 9
 FEATURE_SIZE = ROOT_SIZE + HANDLE_SIZE * (HANDLE_COUNT - 1)
 _SIX_SIGNS = np.array([1, -1, -1, -1, 1, 1], np.float32)
-
-STANDS = 0.05
-"""Share of the frames of `body_handle_motion` whose lowest point may be under the ground."""
 
 
 def body_handle_motion(motion: SkeletalMotion) -> HandleMotion:

@@ -225,7 +225,7 @@ def features_of(stretch: str, seconds: float | None = None, loop: bool = False) 
 
 
 def _rounds(values: np.ndarray, loop: tuple[int, int], frames: int) -> np.ndarray:
-    """As many whole rounds of a loop as come nearest to so many frames: all that are repeated are alike."""
+    """As many whole rounds of a loop as come nearest to this many frames: all that are repeated are alike."""
     from bunraku.generation.splicing import played
 
     start, length = loop[0], loop[0] - loop[1]

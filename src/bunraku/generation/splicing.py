@@ -62,7 +62,7 @@ def played(values: np.ndarray, loop: tuple[int, int], target: int) -> np.ndarray
 
 
 def held(values: np.ndarray, frames: int, still: np.ndarray, ease: float = 0.0) -> np.ndarray:
-    """A motion (N, D) with its last pose held for so many more frames, its root coming to the velocities of a resting
+    """A motion (N, D) with its last pose held for this many more frames, its root coming to the velocities of a resting
     one (3,). `ease` is the share of the pose's change that is left from frame to frame; 0 stops it at once.
     """
     hold = np.repeat(values[-1:], frames, axis=0)
@@ -83,7 +83,7 @@ FEWEST = 24  # fewest frames of a stretch of standing
 TRIED = 20
 NEAR = 0.5  # largest difference of two poses that are joined, where no sampler follows
 BLEND = 10  # frames over which one blends into the other
-LIFTED = 0.15  # height of an ankle over the other [m] with which a foot is up
+LIFTED = 0.15  # height of an ankle over the other [m] with which a foot is up; chosen by eye
 _LOST = 3
 AROUND = BLEND + _LOST  # frames at an end that joining may change
 
@@ -113,7 +113,7 @@ class Joins:
         return values[:target]
 
     def led(self, values: np.ndarray, frames: int, random: np.random.Generator) -> np.ndarray:
-        """The motion with at most so many frames of standing before it; the very array where no pose agrees."""
+        """The motion with at most this many frames of standing before it; the very array where no pose agrees."""
         best: tuple[float, int, int, np.ndarray] | None = None
         for index in random.integers(len(self.standing), size=TRIED):
             piece = self._idle(int(index), frames + BLEND)

@@ -139,18 +139,18 @@ def _laid(
 def _frames(table: Table, named: dict[str, Table]) -> list[Pose]:
     """The poses of a table, of which `pose` is what stays the same."""
     tracks: dict[str, Any] = {name: value for name, value in table.items() if name != "pose"}
-    count = len(next(one if isinstance(one, list) else next(iter(one.values())) for one in tracks.values()))
-    still, found = pose_row(table["pose"], named), []
+    count = len(next(row if isinstance(row, list) else next(iter(row.values())) for row in tracks.values()))
+    still, rows = pose_row(table["pose"], named), []
     for index in range(count):
         parts = {}
         for name, value in tracks.items():
             if isinstance(value, Mapping):
-                part = {inner: _value(one[index]) for inner, one in value.items()}
+                part = {inner: _value(row[index]) for inner, row in value.items()}
                 parts[name] = replace(getattr(still, name), **part)
             else:
                 parts[name] = _value(value[index])
-        found.append(replace(still, **parts))
-    return found
+        rows.append(replace(still, **parts))
+    return rows
 
 
 def _value(value: Any) -> Any:
@@ -242,20 +242,20 @@ def _at_height(height: float) -> PlaceRow:
     after = int(np.clip(np.searchsorted(heights, height), 1, len(rows) - 1))
     share = float(np.clip((height - heights[after - 1]) / (heights[after] - heights[after - 1]), 0, 1))
     first, last = rows[after - 1], rows[after]
-    both, one, pose = (_mixed(getattr(first, part), getattr(last, part), share) for part in ("both", "one", "pose"))
-    return PlaceRow(both, one, (last if share > 0.5 else first).other, pose)
+    both, single, pose = (_mixed(getattr(first, part), getattr(last, part), share) for part in ("both", "one", "pose"))
+    return PlaceRow(both, single, (last if share > 0.5 else first).other, pose)
 
 
 def _mixed(one: Any, other: Any, share: float) -> Any:
     """A hand or a pose between two: numbers and vectors go over, what else there is stays the first's."""
-    found = {}
+    parts = {}
     for part in fields(one):
-        own, there = getattr(one, part.name), getattr(other, part.name)
-        if isinstance(own, tuple):
-            found[part.name] = tuple((1 - share) * a + share * b for a, b in zip(own, there, strict=True))
-        elif isinstance(own, float | int):
-            found[part.name] = (1 - share) * own + share * there
-    return replace(one, **found)
+        value, there = getattr(one, part.name), getattr(other, part.name)
+        if isinstance(value, tuple):
+            parts[part.name] = tuple((1 - share) * a + share * b for a, b in zip(value, there, strict=True))
+        elif isinstance(value, float | int):
+            parts[part.name] = (1 - share) * value + share * there
+    return replace(one, **parts)
 
 
 def place_pose(height: str | float, way: str, hands: str, held: bool = False) -> Pose:
@@ -269,19 +269,20 @@ def place_pose(height: str | float, way: str, hands: str, held: bool = False) ->
     """
     row = read_places()[height] if isinstance(height, str) else _at_height(height)
     side = ASIDE[way]
-    base, own = row.pose, row.both if hands == "both" else row.one
+    base, hand_row = row.pose, row.both if hands == "both" else row.one
     turned = matrix_y(np.array(np.radians(side * AWAY)))
     carrier: Literal["chest", "ground"] = "chest" if held and not side else "ground"
 
     def placed(hand: Hand, sign: float) -> Hand:
         out = np.array([sign, 1, 1])
         palm, fingers, faces, elbow = (
-            vector(out * (turned @ (out * np.array(one)))) for one in (hand.palm, hand.fingers, hand.faces, hand.elbow)
+            vector(out * (turned @ (out * np.array(direction))))
+            for direction in (hand.palm, hand.fingers, hand.faces, hand.elbow)
         )
         return Hand(palm, fingers, faces, elbow, on=carrier)
 
     used = {name: hands in ("both", name) or (hands == "one" and name == "right") for name, _ in SIDES}
-    both: dict[str, Any] = {name: placed(own, sign) if used[name] else row.other for name, sign in SIDES}
+    both: dict[str, Any] = {name: placed(hand_row, sign) if used[name] else row.other for name, sign in SIDES}
     hips = matrix_y(np.array(np.radians(side * HIPS))) @ np.array(base.hips) + [side * OVER, 0, 0]
     lean, head = base.lean, base.head
     return replace(
@@ -300,13 +301,13 @@ class Part(NamedTuple):
 def part_in(text: str) -> Part | None:
     """The part of the body that a text names with the most words; None for none that a hand reaches."""
     words = re.findall(r"[a-z]+", text.lower())
-    found = [
+    parts = [
         Part(name, tuple(words[start : start + len(phrase)]))
         for name, phrase in _phrases()
         for start in range(len(words) - len(phrase) + 1)
         if all(word in choice for word, choice in zip(words[start:], phrase, strict=False))
     ]
-    return max(found, key=lambda one: len(one.words), default=None)
+    return max(parts, key=lambda one: len(one.words), default=None)
 
 
 @functools.cache
@@ -314,8 +315,8 @@ def _phrases() -> tuple[tuple[str, tuple[frozenset[str], ...]], ...]:
     """The phrases of all parts: at each place the words that may stand there."""
     return tuple(
         (name, tuple(frozenset(choice.split("/")) for choice in phrase.split()))
-        for name, (said, _) in read_parts().items()
-        for phrase in said.split(", ")
+        for name, (phrases, _) in read_parts().items()
+        for phrase in phrases.split(", ")
     )
 
 
@@ -328,13 +329,13 @@ def at_part(gesture: Gesture, name: str) -> Gesture:
         gesture: With an `at` of its own.
         name: Of the part.
     """
-    own, there = (read_parts()[one][1] for one in (gesture.at, name))
-    turn = _frame(there.right) @ _frame(own.right).T
+    from_part, there = (read_parts()[part_name][1] for part_name in (gesture.at, name))
+    turn = _frame(there.right) @ _frame(from_part.right).T
 
     def moved(pose: Pose) -> Pose:
         if replace(pose.right, on=HANGING.on) == HANGING:
             return pose
-        away = turn @ (np.array(pose.right.palm) - own.right.palm)
+        away = turn @ (np.array(pose.right.palm) - from_part.right.palm)
         palm = tuple((np.array(there.right.palm) + away).tolist())
         lean, head, hips = (added(getattr(pose, part), getattr(there, part)) for part in ("lean", "head", "hips"))
         return replace(pose, right=replace(there.right, palm=palm), lean=lean, head=head, hips=hips)

@@ -92,28 +92,28 @@ def _contact_gesture(contact: Contact) -> Gesture:
 def _contact_poses(row: Mapping[str, Any], contact: Contact) -> list[Pose]:
     """The body at each place of a deed's path."""
     base = place_pose(contact.height, contact.way, contact.hands)
-    path, count = [np.array(one, float) for one in row["path"]], len(row["path"])
+    path, count = [np.array(point, float) for point in row["path"]], len(row["path"])
     frame = np.array(SURFACES["body" if row.get("up") else contact.surface], float)
     face = np.array(SURFACES["front" if "height" in row else contact.surface], float)
     hold = things_file()["holds"][row.get("hold", HOLDS[contact.surface])]
     turns = row.get("turn", [0.0] * count)
-    found = []
+    poses = []
     for number in range(count):
         hands, goes = {}, np.zeros(3)
         for side, sign in SIDES:
-            own = getattr(base, side)
+            hand = getattr(base, side)
             if contact.hands not in ("both", side) and not (contact.hands == "one" and side == "right"):
-                hands[side] = own
+                hands[side] = hand
                 continue
             late = count // 2 if row.get("apart") and sign > 0 else 0
             by = path[(number + late) % count] @ frame
             goes += by / (2 if contact.hands == "both" else 1)
-            away = _away(own, contact)
-            hands[side] = _on(own, by + away, hold, face, turns[number])
+            away = _away(hand, contact)
+            hands[side] = _on(hand, by + away, hold, face, turns[number])
         share = number / max(count - 1, 1)
         opens, bows = (share * row.get(name, 0.0) for name in ("opens", "bows"))
-        found.append(_followed(replace(base, **hands), goes, opens, bows))
-    return found
+        poses.append(_followed(replace(base, **hands), goes, opens, bows))
+    return poses
 
 
 def _away(hand: Hand, contact: Contact) -> np.ndarray:
@@ -124,11 +124,11 @@ def _away(hand: Hand, contact: Contact) -> np.ndarray:
 
 
 def _on(hand: Hand, by: np.ndarray, hold: Mapping[str, Sequence[float]], face: np.ndarray, turn: float) -> Hand:
-    """A hand so far from where it is, held as it is on a thing that faces so."""
+    """A hand moved by an offset, held as on a thing that faces the given way."""
     fingers, faces = (np.array(hold[part], float) @ face for part in ("fingers", "faces"))
     axis = fingers / np.linalg.norm(fingers)
     faces = matrix_from_axis_angle(axis * math.radians(turn)) @ faces
-    palm, fingers, faces = (vector(one) for one in (np.array(hand.palm) + by, fingers, faces))
+    palm, fingers, faces = (vector(direction) for direction in (np.array(hand.palm) + by, fingers, faces))
     return replace(hand, palm=palm, fingers=fingers, faces=faces)
 
 
@@ -250,11 +250,11 @@ class TerrainGait:
 @functools.cache
 def read_terrain_gaits() -> dict[str, TerrainGait]:
     """The rows of `[grounds]` by their names."""
-    found = {}
+    gaits = {}
     for name, row in things_file()["grounds"].items():
         hands = {part: hand_row(row[part]) for part in ("arms", "right") if part in row}
-        found[name] = TerrainGait(**{**row, **hands})
-    return found
+        gaits[name] = TerrainGait(**{**row, **hands})
+    return gaits
 
 
 def _walk_gesture(terrain: Terrain) -> Gesture:
@@ -269,7 +269,7 @@ def _walk_gesture(terrain: Terrain) -> Gesture:
 
 
 def _walk_pose(gait: TerrainGait, phase: float) -> Pose:
-    """The body after so many cycles; at each whole one the left foot comes down."""
+    """The body after this many cycles; at each whole one the left foot comes down."""
     along = gait.stride * phase
     beat = math.cos(2 * math.pi * (phase - 0.3))  # 1 in the middle of the left foot's stance
     swing = math.cos(2 * math.pi * phase)  # 1 where the left foot is ahead
@@ -298,13 +298,13 @@ def _walk_pose(gait: TerrainGait, phase: float) -> Pose:
 
 
 def _walk_foot(gait: TerrainGait, phase: float) -> Foot:
-    """A foot that comes down at each whole cycle, so many cycles after one."""
-    whole = math.floor(phase)
-    share, ahead = phase - whole, 0.5 * STANCE * gait.stride
+    """A foot that comes down at each whole cycle, this many cycles after one."""
+    cycles = math.floor(phase)
+    share, ahead = phase - cycles, 0.5 * STANCE * gait.stride
     strike, roll = (0.0, 6.0) if gait.flat else (-STRIKE, ROLL)
     if gait.toes:
         strike = roll = gait.toes
-    place = gait.stride * whole + ahead
+    place = gait.stride * cycles + ahead
     knee = (gait.knees, 0.0, 1.0)
     if share < STANCE:
         at = share / STANCE

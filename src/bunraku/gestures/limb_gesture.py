@@ -60,8 +60,8 @@ def limbed(stance: Stance, targets: Sequence[Target]) -> Pose:
         targets: Of single ways: where something goes to and fro, one of its ends.
     """
     stance = stance._replace(name="chair") if stance.name == "seat" else stance
-    pose = with_legs(stance_pose(stance), stance, [one for one in targets if one.limb in (*_LEGS, "hips")])
-    arms = [one for one in targets if one.limb in ("arm", "elbow")]
+    pose = with_legs(stance_pose(stance), stance, [aim for aim in targets if aim.limb in (*_LEGS, "hips")])
+    arms = [aim for aim in targets if aim.limb in ("arm", "elbow")]
     for target in targets:
         if target.limb == "trunk":
             pose = _with_trunk(pose, stance, target)
@@ -100,8 +100,8 @@ def way_down(stance: Stance) -> list[Pose]:
     if stance.name in _THROUGH:
         other = Stance(_THROUGH[stance.name])
         return [*way_down(other), stance_pose(other)]
-    found = postures("ways").get("chair" if stance.name == "seat" else stance.name)
-    return [] if found is None else [mirrored_pose(found) if stance.side == "left" else found]
+    ways = postures("ways").get("chair" if stance.name == "seat" else stance.name)
+    return [] if ways is None else [mirrored_pose(ways) if stance.side == "left" else ways]
 
 
 def joints_of(pose: Pose) -> tuple[np.ndarray, np.ndarray]:
@@ -148,9 +148,9 @@ def _reaching(pose: Pose, stance: Stance, arms: Sequence[Target]) -> Pose:
     while pose.lean[0] <= MOST_LEAN:
         _, positions = joints_of(pose)
         far = 0.0
-        for one in arms:
-            for side in _sides(one):
-                goal = low_place(one, side, positions)
+        for aim in arms:
+            for side in _sides(aim):
+                goal = low_place(aim, side, positions)
                 if goal is not None and goal[2] > positions[AT["pelvis"], 2] - BEHIND:
                     far = max(far, float(np.linalg.norm(goal - positions[AT[f"{side}_shoulder"]])) - ARM)
         if far <= 0 or far >= nearest:
@@ -172,19 +172,19 @@ def _with_arms(pose: Pose, stance: Stance, arms: Sequence[Target]) -> Pose:
     leant = abs(pose.lean[0]) + abs(pose.tilt) > HANGS and stance.name in ("stand", "squat")
     hands: dict[str, Any] = {}
     for side, sign in SIDES:
-        said = [one for one in arms if side in _sides(one)]
-        if not said and leant and getattr(pose, side) == HANGING:
-            said = [Target("arm", side, frozenset(["down"]))]
-        if said:
-            hands[side] = hand_of(_joined(said), side, sign, stance, rotations, positions)
+        arm_targets = [aim for aim in arms if side in _sides(aim)]
+        if not arm_targets and leant and getattr(pose, side) == HANGING:
+            arm_targets = [Target("arm", side, frozenset(["down"]))]
+        if arm_targets:
+            hands[side] = hand_of(_joined(arm_targets), side, sign, stance, rotations, positions)
     return replace(pose, **hands)
 
 
 def _joined(targets: Sequence[Target]) -> Target:
     """What several targets say of one limb."""
-    ways = frozenset[str]().union(*(one.ways for one in targets))
-    last = next((one for one in reversed(targets) if one.at), targets[-1])
-    return last._replace(ways=ways, limb="elbow" if any(one.limb == "elbow" for one in targets) else "arm")
+    ways = frozenset[str]().union(*(aim.ways for aim in targets))
+    last = next((aim for aim in reversed(targets) if aim.at), targets[-1])
+    return last._replace(ways=ways, limb="elbow" if any(aim.limb == "elbow" for aim in targets) else "arm")
 
 
 NAME = "limbs"
@@ -216,7 +216,7 @@ def limb_gesture(posing: Posing) -> Gesture:
     posing = _bent_together(posing)
     base = limbed(stance, posing.held)
     low = stance.name != "stand"
-    legs = any(one.limb in _LEGS for one in posing.targets) and not low
+    legs = any(aim.limb in _LEGS for aim in posing.targets) and not low
     keys: list[Key] = []
     if low and stance.goes:
         keys = [(0.0, Pose())]
@@ -233,9 +233,9 @@ def limb_gesture(posing: Posing) -> Gesture:
             return _circled(base, poses, period, legs)
         return repeated_gesture(NAME, poses, period, TIMES, steps=legs, start=THERE, end=RETURN, rest=base)
     keys.append((start, base))
-    lowered = [one for one in posing.steps[0].targets if one.limb in ("arm", "leg", "knee") and one.ways == {"down"}]
+    lowered = [aim for aim in posing.steps[0].targets if aim.limb in ("arm", "leg", "knee") and aim.ways == {"down"}]
     if lowered:  # what is lowered is up before
-        raised = [one._replace(ways=frozenset(["up"])) for one in lowered]
+        raised = [aim._replace(ways=frozenset(["up"])) for aim in lowered]
         keys = [(time, pose if time < start else limbed(stance, [*posing.held, *raised])) for time, pose in keys]
     stays = posing.steps[-1].stays or bool(lowered)
     moment, before = start + 0.3, list(posing.held)
@@ -267,12 +267,12 @@ def limb_gesture(posing: Posing) -> Gesture:
 
 def _bent_together(posing: Posing) -> Posing:
     """Hands on the knees of a bending person are there only while the trunk is bent."""
-    bends = any(one.limb == "trunk" and one.ways & {"ahead", "down"} for step in posing.steps for one in step.targets)
-    low = [one for one in posing.held if one.at in LOW] if bends else []
+    bends = any(aim.limb == "trunk" and aim.ways & {"ahead", "down"} for step in posing.steps for aim in step.targets)
+    low = [aim for aim in posing.held if aim.at in LOW] if bends else []
     if not low:
         return posing
     first, *others = posing.steps
-    held = tuple(one for one in posing.held if one not in low)
+    held = tuple(aim for aim in posing.held if aim not in low)
     return replace(posing, held=held, steps=(first._replace(targets=(*first.targets, *low)), *others))
 
 
@@ -281,10 +281,10 @@ def _replaced(targets: Sequence[Target], others: Sequence[Target]) -> list[Targe
     so.
     """
     kept = [
-        one for one in targets
+        aim for aim in targets
         if not any(
-            not (other.ways <= SHAPES and one.ways & BESIDE)
-            and _same(one.limb) == _same(other.limb) and (one.side == other.side or "both" in (one.side, other.side))
+            not (other.ways <= SHAPES and aim.ways & BESIDE)
+            and _same(aim.limb) == _same(other.limb) and (aim.side == other.side or "both" in (aim.side, other.side))
             for other in others
         )
     ]  # fmt: skip
@@ -296,24 +296,24 @@ def _same(limb: str) -> str:
 
 
 def _of_side(targets: Sequence[Target], side: str) -> list[Target]:
-    return [one._replace(side=side) if one.side in ("both", "one") else one for one in targets]
+    return [aim._replace(side=side) if aim.side in ("both", "one") else aim for aim in targets]
 
 
 def _cycle(stance: Stance, held: Sequence[Target], step: Step) -> tuple[list[Pose], float]:
     """The poses of once to and fro, or once round, and its seconds."""
-    period = max(PERIODS.get(one.limb, 1.6) for one in step.targets)
+    period = max(PERIODS.get(aim.limb, 1.6) for aim in step.targets)
     if step.alternately:
         right, left = (limbed(stance, _replaced(held, _of_side(step.targets, side))) for side in ("right", "left"))
         rest = limbed(stance, held)
         return [right, rest, left, rest], 1.4 * period
-    if any("round" in one.to for one in step.targets):
-        plain = [one for one in step.targets if "round" not in one.to]
-        circled = [one for one in step.targets if "round" in one.to]
-        ways = [[_on_circle(one, number / ROUND) for one in circled] for number in range(ROUND)]
+    if any("round" in aim.to for aim in step.targets):
+        plain = [aim for aim in step.targets if "round" not in aim.to]
+        circled = [aim for aim in step.targets if "round" in aim.to]
+        ways = [[_on_circle(aim, number / ROUND) for aim in circled] for number in range(ROUND)]
         return [_mixed_pose(stance, held, plain, some) for some in ways], 1.2 * period
-    common = [one._replace(to=frozenset()) for one in step.targets]
+    common = [aim._replace(to=frozenset()) for aim in step.targets]
     first = limbed(stance, _replaced(held, common))
-    ends = [_other_end(one) for one in step.targets if one.to]
+    ends = [_other_end(aim) for aim in step.targets if aim.to]
     second = limbed(stance, _replaced(held, ends) if ends else held)
     return [first, second], period if ends else 1.5 * period
 
@@ -340,7 +340,7 @@ def _mixed_pose(
     stance: Stance, held: Sequence[Target], plain: Sequence[Target], circled: Sequence[tuple[Target, Target, float]]
 ) -> Pose:
     """A pose with each limb that circles at its place between two ways."""
-    first = limbed(stance, _replaced(held, [*plain, *[one for one, _, _ in circled]]))
+    first = limbed(stance, _replaced(held, [*plain, *[aim for aim, _, _ in circled]]))
     second = limbed(stance, _replaced(held, [*plain, *[other for _, other, _ in circled]]))
     share = circled[0][2]
     return through([(0.0, first), (1.0, second)])[round(share / STEP)][1] if share else first

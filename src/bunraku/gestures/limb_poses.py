@@ -43,7 +43,7 @@ def postures(section: str) -> dict[str, Pose]:
 def low_place(target: Target, side: str, positions: np.ndarray) -> np.ndarray | None:
     """Where a hand is on the legs or on the floor, in the world [m], shape (3,); None for other places."""
     sign = dict(SIDES)[side]
-    own = target.at_side or side
+    hand_side = target.at_side or side
     if target.at == "floor":
         pelvis = positions[AT["pelvis"]]
         ahead = -0.3 if "back" in target.ways or target.by == "behind" else 0.3
@@ -53,9 +53,9 @@ def low_place(target: Target, side: str, positions: np.ndarray) -> np.ndarray | 
         return None
     knees = {name: positions[AT[f"{name}_knee"], 1] for name in ("left", "right")}
     if target.at == "knee" and not target.at_side and abs(knees["left"] - knees["right"]) > 0.2:
-        own = max(knees, key=knees.__getitem__)  # the knee that is up
-    place = positions[AT[f"{own}_{joint}"]]
-    hip = positions[AT[f"{own}_hip"]]
+        hand_side = max(knees, key=knees.__getitem__)  # the knee that is up
+    place = positions[AT[f"{hand_side}_{joint}"]]
+    hip = positions[AT[f"{hand_side}_hip"]]
     if target.at == "buttocks":
         return place + np.array([0, -0.05, -0.12])
     along = place - hip
@@ -166,7 +166,7 @@ def _stretched(
     if rises < -60:
         elbow = np.array([0.35 * sign, 0, -1.0])
     out = np.array([sign, 1, 1])
-    ways_of_hand = [vector((chest.T @ one) * out) for one in (way, faces, elbow)]
+    ways_of_hand = [vector((chest.T @ direction) * out) for direction in (way, faces, elbow)]
     return Hand(vector(palm * out), ways_of_hand[0], ways_of_hand[1], ways_of_hand[2])
 
 
@@ -194,13 +194,13 @@ def with_legs(pose: Pose, stance: Stance, targets: Sequence[Target]) -> Pose:
         stance: Of the body.
         targets: Of legs and of the pelvis.
     """
-    for one in targets:
-        if one.limb == "hips":
-            pose = _shifted(pose, one)
-        elif one.side == "both":
-            pose = _both(pose, stance, one)
+    for target in targets:
+        if target.limb == "hips":
+            pose = _shifted(pose, target)
+        elif target.side == "both":
+            pose = _both(pose, stance, target)
         else:
-            pose = _single(pose, stance, one, "right" if one.side == "one" else one.side)
+            pose = _single(pose, stance, target, "right" if target.side == "one" else target.side)
     return _grounded(pose) if stance.name in ("stand", "squat") and targets else pose
 
 
@@ -256,14 +256,14 @@ def _single(pose: Pose, stance: Stance, target: Target, side: str) -> Pose:
 
 def _free(pose: Pose, stance: Stance, target: Target, side: str) -> Foot:
     """A foot in the air, or on the ground where it stands elsewhere."""
-    sign, own = dict(SIDES)[side], getattr(pose, f"{side}_foot")
+    sign, foot = dict(SIDES)[side], getattr(pose, f"{side}_foot")
     hip = reference_body().joints.astype(float)[AT[f"{side}_hip"]] + pose.hips
     if stance.name in ("back", "belly", "floor"):
-        return _lying(own, hip, sign, stance, target)
+        return _lying(foot, hip, sign, stance, target)
     if stance.name == "chair":
-        return _seated(own, hip, sign, target)
+        return _seated(foot, hip, sign, target)
     kneels = stance.name in ("kneel", "both knees", "crossed")
-    return own if kneels else _standing(own, hip, sign, target, side)
+    return foot if kneels else _standing(foot, hip, sign, target, side)
 
 
 def _seated(own: Foot, hip: np.ndarray, sign: float, target: Target) -> Foot:

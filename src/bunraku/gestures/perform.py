@@ -45,7 +45,7 @@ def accompanied(tracks: Tracks, share: np.ndarray, free: dict[str, np.ndarray]) 
         away = np.where(tracks.hands[side].rests[:, None], 0, tracks.hands[side].palm - HANGING.palm)
         for name, factors in FOLLOWS.items():
             angles[name] += sign * (away @ np.array(factors))
-    angles = {name: share * np.clip(own, -MOST, MOST) for name, own in angles.items()}
+    angles = {name: share * np.clip(angle, -MOST, MOST) for name, angle in angles.items()}
     none = np.zeros(len(share))
     lean = np.stack([none, angles["lean left"], angles["lean side"]], axis=1)
     back = -np.radians(angles["turn"] + angles["lean left"])
@@ -128,7 +128,7 @@ def performed(
     fps: float = FPS,
     busy: Sequence[SkeletalMotion] = (),
 ) -> SkeletalMotion:
-    """A gesture done in so many frames by a person who stands before and after it.
+    """A gesture done in this many frames by a person who stands before and after it.
 
     Args:
         gesture: What is done.
@@ -154,11 +154,11 @@ def performed(
         standing = replace(_standing(busy, frames, random, manner.closed, moments), hands=standing.hands)
     elif not with_hands:
         standing = _level(standing)
-    own = random.spawn(1)[0]
+    generator = random.spawn(1)[0]
     if gesture.steps:
         standing = replace(standing, feet={side: None for side, _ in SIDES})
     else:
-        standing, tracks = _turning(standing, own), _dipping(tracks, own)
+        standing, tracks = _turning(standing, generator), _dipping(tracks, generator)
     return posed(tracks, times, moments, standing, fps)
 
 
@@ -198,7 +198,7 @@ def _dipping(tracks: Tracks, random: np.random.Generator) -> Tracks:
 def _standing(
     idles: Sequence[SkeletalMotion], frames: int, random: np.random.Generator, closed: bool, moments: np.ndarray
 ) -> Standing:
-    """One of those who stand, for so many frames: to and fro where the clip is shorter."""
+    """One of those who stand, for this many frames: to and fro where the clip is shorter."""
     if not idles:
         return swaying(int(random.integers(2**31)), moments)
     ways = np.array([_range(idle.root_translation) for idle in idles])
@@ -228,7 +228,7 @@ def _range(positions: np.ndarray) -> float:
 def _scheduled(
     gesture: Gesture, span: float, tempo: float, random: np.random.Generator, manner: Manner, variation: Variation
 ) -> tuple[list[Key], np.ndarray, np.ndarray]:
-    """Keys of so many seconds, when each is reached, and the size of the movement there."""
+    """Keys of this many seconds, when each is reached, and the size of the movement there."""
     parts, endless = _times_of(gesture, span, tempo, random, manner, variation)
     poses = [pose for part, *_ in parts for _, pose in part]
     times = np.array([start + moment / factor for part, start, factor, _ in parts for moment, _ in part])
@@ -276,7 +276,7 @@ def _times_of(
     once = [key for key in keys if repeat.start - 1e-6 <= key[0] < repeat.start + repeat.period - 1e-6]
     if manner.closed:
         count = max(round(span * tempo / repeat.period), 1)
-        head, tail = [], [(repeat.stop, moved(once[0][1], [repeat.times * one for one in repeat.drift]))]
+        head, tail = [], [(repeat.stop, moved(once[0][1], [repeat.times * shift for shift in repeat.drift]))]
     around = sum(part[-1][0] - part[0][0] for part in (head + once[:1], tail) if len(part) > 1)
     finishes = bool(tail) and (bool(manner.count) or random.random() < 0.6)
     pauses = variation.pauses if head and not manner.closed else 0.0
@@ -291,7 +291,7 @@ def _times_of(
     parts = [(head, 0.0, tempo, 1.0)] if head else []
     start = (once[0][0] - head[0][0]) / tempo if head else 0.0
     for number in range(count):
-        drift = [number * one for one in repeat.drift]
+        drift = [number * shift for shift in repeat.drift]
         factor = tempo if manner.closed or gesture.steps else tempo * (1 + variation.timing * random.uniform(-1, 1))
         part = [(time - once[0][0], moved(pose, drift)) for time, pose in once]
         parts.append((part, start, factor, 1.0 if manner.closed else size()))
@@ -299,25 +299,25 @@ def _times_of(
         if random.random() < pauses:
             held = random.uniform(*variation.pause)
             if manner.count or start + held + around / tempo < span:
-                there = moved(once[0][1], [(number + 1) * one for one in repeat.drift])
+                there = moved(once[0][1], [(number + 1) * shift for shift in repeat.drift])
                 parts.append(([(0.0, there)], start, 1.0, 1.0))
                 start += held
-    drift = [(count - repeat.times) * one for one in repeat.drift]
+    drift = [(count - repeat.times) * shift for shift in repeat.drift]
     if tail:
         parts.append(([(time - tail[0][0], moved(pose, drift)) for time, pose in tail], start, tempo, 1.0))
     elif count:
-        parts.append(([(0.0, moved(once[0][1], [count * one for one in repeat.drift]))], start, tempo, 1.0))
+        parts.append(([(0.0, moved(once[0][1], [count * shift for shift in repeat.drift]))], start, tempo, 1.0))
     return parts, endless
 
 
 def _held(keys: Sequence[Key], random: np.random.Generator, variation: Variation) -> list[Key]:
     """Keys whose poses are held for another time."""
-    found, late = [keys[0]], 0.0
+    held_keys, late = [keys[0]], 0.0
     for before, after in zip(keys, keys[1:], strict=False):
         if before[1] == after[1]:
             late += (after[0] - before[0]) * (random.uniform(*variation.holds) - 1)
-        found.append((after[0] + late, after[1]))
-    return found
+        held_keys.append((after[0] + late, after[1]))
+    return held_keys
 
 
 def _cycles(gesture: Gesture, span: float, tempo: float, random: np.random.Generator, manner: Manner) -> list[_Part]:
@@ -357,28 +357,30 @@ def _varied(
     hands, free = {}, {side: np.zeros(len(sizes), bool) for side, _ in SIDES}
     for number, (side, _) in enumerate(SIDES):
         hand = tracks.hands[side]
-        own = hand.rests
+        rests = hand.rests
         on_body = (hand.on == 0) | (hand.on == 3) | (np.linalg.norm((hand.palm - _TRUNK)[:, [0, 2]], axis=1) < TOUCH)
-        touches = (together | on_body) & ~own
-        if own.all() or (hand.on == 3).any():
+        touches = (together | on_body) & ~rests
+        if rests.all() or (hand.on == 3).any():
             hands[side] = hand
             continue
         palm = hand.palm.copy()
-        anchor = palm[touches].mean(axis=0) if touches.any() and not touches[~own].all() else palm[~own].mean(axis=0)
-        factor = (
-            size if not touches[~own].all() else 1 + (size - 1) * np.log(variation.touching) / np.log(variation.size)
+        anchor = (
+            palm[touches].mean(axis=0) if touches.any() and not touches[~rests].all() else palm[~rests].mean(axis=0)
         )
-        palm[~own] = (anchor + factor[:, None] * (palm - anchor))[~own]
-        if touches[~own].all() and not (together & ~own).any():
+        factor = (
+            size if not touches[~rests].all() else 1 + (size - 1) * np.log(variation.touching) / np.log(variation.size)
+        )
+        palm[~rests] = (anchor + factor[:, None] * (palm - anchor))[~rests]
+        if touches[~rests].all() and not (together & ~rests).any():
             moved_by = np.zeros(3)
-        elif (together & ~own).any():
+        elif (together & ~rests).any():
             moved_by = 1.4 * shift[2] * [0, 1, 1]
         else:
-            moved_by = shift[number] * (0 if on_body[~own].any() else 1)
-        palm[~own] += moved_by
+            moved_by = shift[number] * (0 if on_body[~rests].any() else 1)
+        palm[~rests] += moved_by
         ways = hand.ways.copy()
         if not touches.any():
-            ways[~own, 2] += random.normal(0, variation.elbows, 3)
+            ways[~rests, 2] += random.normal(0, variation.elbows, 3)
         hands[side] = replace(hand, palm=palm, ways=ways)
         free[side] = ~touches
     if gesture.steps:
@@ -397,8 +399,8 @@ def _varied(
     over = float(random.normal(0, variation.leaning))
     stands = np.minimum(*[tracks.feet[side].rests for side, _ in SIDES])
     hips = hips + stands[:, None] * upright * [np.clip(over, *_within(variation.leaning)), -abs(over) / 6, 0]
-    found = replace(tracks, lean=lean, head=head, shrug=tracks.shrug * size, hips=hips, hands=hands)
-    return accompanied(found, random.uniform(*variation.follows) * stands * upright[:, 0], free)
+    varied = replace(tracks, lean=lean, head=head, shrug=tracks.shrug * size, hips=hips, hands=hands)
+    return accompanied(varied, random.uniform(*variation.follows) * stands * upright[:, 0], free)
 
 
 def _within(deviation: float) -> tuple[float, float]:

@@ -37,13 +37,13 @@ class HandTrack:
     @classmethod
     def of(cls, hands: Sequence[Hand]) -> HandTrack:
         """The hands of some poses."""
-        ways = np.array([[one.fingers, one.faces, one.elbow] for one in hands], float)
+        ways = np.array([[hand.fingers, hand.faces, hand.elbow] for hand in hands], float)
         return cls(
-            np.array([one.palm for one in hands], float),
+            np.array([hand.palm for hand in hands], float),
             ways / np.linalg.norm(ways, axis=-1, keepdims=True),
-            np.array([list(CARRIERS).index(one.on) for one in hands]),
-            np.array([replace(one, on=HANGING.on) == HANGING for one in hands]),
-            np.array([_raised(one) for one in hands]),
+            np.array([list(CARRIERS).index(hand.on) for hand in hands]),
+            np.array([replace(hand, on=HANGING.on) == HANGING for hand in hands]),
+            np.array([_raised(hand) for hand in hands]),
         )
 
 
@@ -173,7 +173,7 @@ def _posed(keys: _Between, standing: Standing, rest: np.ndarray) -> tuple[np.nda
     local = standing.rotations.copy()
     upright = np.clip(1 - np.abs(keys.of(tracks.tilt)) / 20, 0, 1)  # a body that lies does not sway
     local[:, 1:] = _share(local[:, 1:], upright)
-    lean, head = (keys.of(one) + own for one, own in ((tracks.lean, standing.lean), (tracks.head, standing.head)))
+    lean, head = (keys.of(row) + angle for row, angle in ((tracks.lean, standing.lean), (tracks.head, standing.head)))
     for parts, angles in ((_TRUNK, lean), (_HEAD, head)):
         for name, part in parts:
             local[:, AT[name]] = local[:, AT[name]] @ _angles(part * angles)
@@ -248,27 +248,27 @@ def _set_arm(
     for which in (keys.before, keys.after):
         palm, ways = outward * hand.palm[which], outward * hand.ways[which]
         for carrier, joint in enumerate(CARRIERS.values()):
-            own = hand.on[which] == carrier
-            if joint is None or not own.any():
+            carried = hand.on[which] == carrier
+            if joint is None or not carried.any():
                 continue
-            turn = world[own, joint]
-            palm[own] = where[own, joint] + (turn @ (palm[own] - rest[joint])[..., None])[..., 0]
-            ways[own] = ways[own] @ np.swapaxes(turn, -1, -2)
+            turn = world[carried, joint]
+            palm[carried] = where[carried, joint] + (turn @ (palm[carried] - rest[joint])[..., None])[..., 0]
+            ways[carried] = ways[carried] @ np.swapaxes(turn, -1, -2)
         if hanging is not None:
-            own = hand.rests[which]
+            carried = hand.rests[which]
             chest = AT["spine3"]
-            turn = world[own, chest]
-            palm[own] = where[own, chest] + (turn @ hanging.palm[own][..., None])[..., 0]
-            ways[own] = hanging.ways[own] @ np.swapaxes(turn, -1, -2)
+            turn = world[carried, chest]
+            palm[carried] = where[carried, chest] + (turn @ hanging.palm[carried][..., None])[..., 0]
+            ways[carried] = hanging.ways[carried] @ np.swapaxes(turn, -1, -2)
         ends.append((palm, ways))
     length = np.linalg.norm(ends[1][0] - ends[0][0], axis=1) * ~(hand.rests[keys.before] & hand.rests[keys.after])
     arc = _AHEAD * length * np.sin(np.pi * keys.share)
     palm = keys.mixed(ends[0][0], ends[1][0]) + arc[:, None] * world[:, AT["spine3"], :, 2]
     pointing, facing, towards = (_unit(keys.mixed(ends[0][1], ends[1][1])[:, part]) for part in range(3))
     goal = palm - PALM * pointing
-    one = float(np.linalg.norm(rest[elbow] - rest[shoulder]))
+    upper_length = float(np.linalg.norm(rest[elbow] - rest[shoulder]))
     two = float(np.linalg.norm(rest[wrist] - rest[elbow]))
-    bend = _bent(where[:, shoulder], goal, one, two, towards)
+    bend = _bent(where[:, shoulder], goal, upper_length, two, towards)
     reached = bend + two * _unit(goal - bend)
     out, back, down = np.array([sign, 0, 0]), np.array([0, 0, -1.0]), np.array([0, -1.0, 0])
     hinge = _across(towards, _unit(goal - where[:, shoulder]))
@@ -297,9 +297,9 @@ def _set_leg(
             goal[own], towards[own] = planted.ankle[own], planted.knee[own]
         ends.append((goal, towards))
     goal, towards = (keys.mixed(*pair) for pair in zip(*ends, strict=True))
-    one = float(np.linalg.norm(rest[knee] - rest[hip]))
+    upper_length = float(np.linalg.norm(rest[knee] - rest[hip]))
     two = float(np.linalg.norm(rest[ankle] - rest[knee]))
-    bend = _bent(where[:, hip], goal, one, two, towards)
+    bend = _bent(where[:, hip], goal, upper_length, two, towards)
     down, ahead = np.array([0, -1.0, 0]), np.array([0, 0, 1.0])
     world[:, hip] = _frame(bend - where[:, hip], towards) @ _frame(down, ahead).T
     world[:, knee] = _frame(goal - bend, towards) @ _frame(down, ahead).T

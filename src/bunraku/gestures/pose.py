@@ -194,7 +194,7 @@ def mirrored_pose(pose: Pose) -> Pose:
     )  # fmt: skip
 
 
-STEP = 0.05
+STEP = 1 / 20
 """Seconds between two poses."""
 _BALL, _HEEL, _GROUND = (0.054, -0.155), (0.081, 0.05), 0.027
 """From the ball of a foot of the reference body to its ankle, and from its heel, up and ahead, and the height of the
@@ -231,13 +231,13 @@ def foot_on(out: float, ahead: float, pitch: float = 0.0, turn: float = 8.0) -> 
 
 
 def _numbers(pose: Pose) -> list[float]:
-    found: list[float] = []
+    numbers: list[float] = []
     for hand in (pose.right, pose.left):
-        found += [*hand.palm, *_unit(hand.fingers), *_unit(hand.faces), *_unit(hand.elbow)]
-    found += [*pose.lean, *pose.head, pose.shrug, *pose.hips, pose.turn, pose.tilt]
+        numbers += [*hand.palm, *_unit(hand.fingers), *_unit(hand.faces), *_unit(hand.elbow)]
+    numbers += [*pose.lean, *pose.head, pose.shrug, *pose.hips, pose.turn, pose.tilt]
     for foot in (pose.right_foot, pose.left_foot):
-        found += [*foot.ankle, foot.pitch, *foot.knee, foot.turn]
-    return found
+        numbers += [*foot.ankle, foot.pitch, *foot.knee, foot.turn]
+    return numbers
 
 
 def _unit(vector: Sequence[float]) -> list[float]:

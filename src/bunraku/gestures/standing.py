@@ -20,7 +20,7 @@ AT = {name: index for index, name in enumerate(JOINT_NAMES)}
 SIDES = (("left", 1.0), ("right", -1.0))
 """Both sides, with the sign of x on them."""
 PALM = 0.09
-"""From the wrist to the middle of the palm [m]."""
+"""From the wrist to the middle of the palm, chosen by eye on sheets of gestures [m]."""
 ANKLE, APART, BESIDE, TURNED = 0.035, 0.55, 0.12, 30.0
 """How far an ankle of a standing foot is from its height at rest at the most, how far apart feet are at the most, and
 from side to side at the least [m], and how far the head is turned from the pelvis at the most [degrees]; chosen by eye.
@@ -61,7 +61,7 @@ class Standing:
 
 
 def still(frames: int) -> Standing:
-    """A person who does not move at all, for so many frames."""
+    """A person who does not move at all, for this many frames."""
     none = np.zeros((frames, 3))
     return Standing(none, np.tile(_STILL, (frames, 1, 1, 1)), none, none, *_as_keys())
 

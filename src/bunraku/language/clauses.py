@@ -137,9 +137,9 @@ def of_creature(clause: str) -> str:
     if not subject:
         return with_subject(clause, "it")
     names = [word for word in subject.lower().split() if word not in ("a", "an", "the", "this", "that")]
-    people, said = lexicon().grammar["people"], lexicon().grammar["said of people"]
-    known = names and names[-1] in people and len(names) < 3 and said.issuperset(names[:-1])
-    return f"it {rest}" if known else clause
+    people, traits = lexicon().grammar["people"], lexicon().grammar["said of people"]
+    is_person = names and names[-1] in people and len(names) < 3 and traits.issuperset(names[:-1])
+    return f"it {rest}" if is_person else clause
 
 
 def of_person(clause: str) -> str:
@@ -172,7 +172,7 @@ def as_caption(clause: str) -> str:
     if verb is None:
         return clause
     clause = clause[0].lower() + clause[1:]
-    said, copied = "a person ", 0
+    caption, copied = "a person ", 0
     for number, word in enumerate(words):  # "run and clap": the second verb, too
         if number == verb or (words[number - 1] in ("and", "or", ",") and words[verb] in table.verbs):
             form = table.verbs[word][0] if word in table.verbs else word
@@ -180,11 +180,11 @@ def as_caption(clause: str) -> str:
             form = "their"
         else:
             continue
-        said += clause[copied : spans[number][0]] + form
+        caption += clause[copied : spans[number][0]] + form
         copied = spans[number][1]
-    said += clause[copied:]
-    same = all(read(said) == read(clause) for read in (actions_of, said_cues, said_traits))
-    return said if same else clause
+    caption += clause[copied:]
+    same = all(read(caption) == read(clause) for read in (actions_of, said_cues, said_traits))
+    return caption if same else clause
 
 
 def as_parsed(text: str) -> str:
@@ -194,10 +194,10 @@ def as_parsed(text: str) -> str:
     """
     subject, rest = subject_of(text)
     if not subject:
-        found = _REPORTED_BY.match(text)
-        if found is None or actions_of(found["who"]) or not _begins(found["rest"], "gerund"):
+        match = _REPORTED_BY.match(text)
+        if match is None or actions_of(match["who"]) or not _begins(match["rest"], "gerund"):
             return text
-        subject, rest = "a person", found["rest"]
+        subject, rest = "a person", match["rest"]
         text = f"{subject} is {rest}"
     if _begins(rest, "third", "past"):
         return _ONGOING.sub(_finite, text)
@@ -297,9 +297,9 @@ def parts_of(clause: str) -> list[str]:
             parts.append(piece)
         else:
             parts[-1] += joint + piece
-    said = [frozenset(actions_of(part)) for part in parts]
+    actions = [frozenset(actions_of(part)) for part in parts]
     parts = with_names(parts)
-    if len(parts) < 2 or any(before & after for before, after in itertools.pairwise(said)):
+    if len(parts) < 2 or any(before & after for before, after in itertools.pairwise(actions)):
         return []
     return [as_caption(with_subject(part, subject)) for part in parts]
 
@@ -343,15 +343,15 @@ def _time_of(clause: str) -> float:
 
 def _hinged(piece: str) -> list[str]:
     """A piece parted at "before" and "after", in the order in which things happen."""
-    found = _AFTER_FIRST.match(piece)
+    match = _AFTER_FIRST.match(piece)
     finite = ("third", "gerund", "plain", "is")
-    if found and _begins(found["earlier"], "gerund") and _begins(subject_of(found["later"])[1], *finite):
-        return [found["earlier"], *_hinged(found["later"])]
-    for found in _HINGE.finditer(piece):
-        subject, predicate = subject_of(found["rest"])
-        if found.start() and (_begins(found["rest"], "gerund") or (subject and _begins(predicate, "third", "is"))):
-            head, rest = piece[: found.start()], _hinged(found["rest"])
-            return [head, *rest] if found["word"].lower() == "before" else [*rest, head]
+    if match and _begins(match["earlier"], "gerund") and _begins(subject_of(match["later"])[1], *finite):
+        return [match["earlier"], *_hinged(match["later"])]
+    for match in _HINGE.finditer(piece):
+        subject, predicate = subject_of(match["rest"])
+        if match.start() and (_begins(match["rest"], "gerund") or (subject and _begins(predicate, "third", "is"))):
+            head, rest = piece[: match.start()], _hinged(match["rest"])
+            return [head, *rest] if match["word"].lower() == "before" else [*rest, head]
     return [piece]
 
 
@@ -440,9 +440,9 @@ def moved_part(clause: str) -> str:
     held = read_as(Handling, clause)
     if held is not None and held.said and held.only_held:
         return "arms"  # a thing that is carried as captured people carry it is no gesture
-    said = {table.actions[action].part for action in actions_of(clause)}
-    if said == {"legs"}:
+    parts = {table.actions[action].part for action in actions_of(clause)}
+    if parts == {"legs"}:
         return "legs"  # "does a lunge", whose verb says nothing of it
-    if not said or not said <= set(_GESTURING):
+    if not parts or not parts <= set(_GESTURING):
         return ""
-    return said.pop() if len(said) == 1 else "arms and head"
+    return parts.pop() if len(parts) == 1 else "arms and head"

@@ -65,13 +65,13 @@ def units(text: str, language: str) -> list[Unit]:
         return [Unit(start, stop, _word(text[start:stop], language)) for start, stop in spaced_words(text)]
     signs = [index for index, letter in enumerate(text) if letter.isalnum() or letter in "ー々"]
     padded = f"  {text}   ".lower()
-    found = []
+    out = []
     for at in signs:
         here = at + 2
         spans = ((0, 1), (-1, 1), (0, 2), (-2, 1), (-1, 2), (0, 3), (-1, 3), (0, 4))
         pieces = [f"{language} {padded[here + first : here + last]}" for first, last in spans]
-        found.append(Unit(at, at + 1, tuple(zlib.crc32(piece.encode()) for piece in pieces)))
-    return found
+        out.append(Unit(at, at + 1, tuple(zlib.crc32(piece.encode()) for piece in pieces)))
+    return out
 
 
 def reach_of(language: str) -> int:
@@ -81,9 +81,9 @@ def reach_of(language: str) -> int:
 
 @functools.lru_cache(maxsize=65536)
 def _word(word: str, language: str) -> tuple[int, ...]:
-    whole = f"<{fold(word)}>"
-    grams = dict.fromkeys(whole[at : at + size] for size in _GRAMS for at in range(len(whole) - size + 1))
-    return tuple(zlib.crc32(f"{language} {piece}".encode()) for piece in (whole, *grams))
+    marked = f"<{fold(word)}>"
+    grams = dict.fromkeys(marked[at : at + size] for size in _GRAMS for at in range(len(marked) - size + 1))
+    return tuple(zlib.crc32(f"{language} {piece}".encode()) for piece in (marked, *grams))
 
 
 class Tagger:
@@ -103,8 +103,8 @@ class Tagger:
 
     def __call__(self, found: Sequence[Unit], language: str) -> np.ndarray:
         """The probability of each movement for each unit, shape (T, V)."""
-        own = np.stack([self.steps[np.array(unit.pieces) % self.config.buckets].mean(0) for unit in found]) * self.scale
-        return probabilities(own, reach_of(language), self.enter, self.leave)
+        rows = [self.steps[np.array(unit.pieces) % self.config.buckets].mean(0) for unit in found]
+        return probabilities(np.stack(rows) * self.scale, reach_of(language), self.enter, self.leave)
 
 
 def probabilities(own: np.ndarray, reach: int, enter: Linear, leave: Linear) -> np.ndarray:
@@ -115,9 +115,9 @@ def probabilities(own: np.ndarray, reach: int, enter: Linear, leave: Linear) -> 
     first, last = np.maximum(at - reach, 0), np.minimum(at + 1 + reach, count)
     before = (sums[at] - sums[first]) / np.maximum(at - first, 1)[:, None]
     after = (sums[last] - sums[at + 1]) / np.maximum(last - at - 1, 1)[:, None]
-    whole = np.broadcast_to(own.mean(0), own.shape)
-    said = leave(np.maximum(enter(np.concatenate([own, before, after, whole], axis=1)), 0))
-    return np.asarray(1 / (1 + np.exp(-np.clip(said, -30, 30))))
+    mean = np.broadcast_to(own.mean(0), own.shape)
+    scores = leave(np.maximum(enter(np.concatenate([own, before, after, mean], axis=1)), 0))
+    return np.asarray(1 / (1 + np.exp(-np.clip(scores, -30, 30))))
 
 
 @functools.lru_cache(maxsize=2)
@@ -149,8 +149,8 @@ def tagged(text: str, language: str, concepts: Sequence[Concept]) -> list[Concep
     except WeightsError:  # the table alone reads, as `bunraku doctor` says
         return list(concepts)
     found = units(text, language)
-    said = network(found, language) if found else np.zeros((0, len(network.config.verbs)))
-    return list(_read(concepts, found, said, network.config.verbs))
+    scores = network(found, language) if found else np.zeros((0, len(network.config.verbs)))
+    return list(_read(concepts, found, scores, network.config.verbs))
 
 
 def _read(

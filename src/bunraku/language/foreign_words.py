@@ -69,7 +69,7 @@ def _split(text: str) -> tuple[tuple[str, ...], tuple[bool, ...]]:
 @functools.cache
 def _spaced_lexicon(language: str) -> dict[str, list[_Form]]:
     """Forms by their first word."""
-    found: dict[str, list[_Form]] = {}
+    lexicon: dict[str, list[_Form]] = {}
     for text, kind, value, position in forms(language, fold):
         *others, head = text.split("&")
         needed = [pair for other in others for pair in zip(*_split(other), strict=True)]
@@ -80,8 +80,8 @@ def _spaced_lexicon(language: str) -> dict[str, list[_Form]]:
         form = _Form(words, stem, kind, value, beside, particle, reflexive, kind == "part" and position > 0)
         joined = [particle, particle + "zu", particle + "ge"] if particle else []
         for one in (*(form._replace(words=(front + words[0], *words[1:]), particle="") for front in joined), form):
-            found.setdefault(one.words[0], []).append(one)
-    return found
+            lexicon.setdefault(one.words[0], []).append(one)
+    return lexicon
 
 
 def _readings(token: str, language: str) -> Iterator[tuple[str, str]]:
@@ -134,8 +134,8 @@ class _Scan:
 
     def scattered(self, form: _Form, at: int, pronoun: bool, clause: tuple[int, int]) -> list[int] | None:
         """Tokens of a clause that a form needs besides those in a row; None where they are not all there."""
-        own = range(at, at + len(form.words))
-        free = [index for index in range(*clause) if index not in own and not self.taken[index]]
+        span = range(at, at + len(form.words))
+        free = [index for index in range(*clause) if index not in span and not self.taken[index]]
         if form.reflexive and not pronoun:
             near = free if self.language == "de" else [index for index in free if index in (at - 1, at + 1)]
             if not any(self.tokens[index] in _REFLEXIVE for index in near):
@@ -148,7 +148,7 @@ class _Scan:
             used.append(hit)
         if form.particle:
             last = clause[1] - 1
-            after = [index for index in free if index >= own.stop and self.tokens[index] == form.particle]
+            after = [index for index in free if index >= span.stop and self.tokens[index] == form.particle]
             if form.particle in _PREPOSITIONS:
                 after = [index for index in after if index == last]
             if not after:
@@ -160,12 +160,12 @@ class _Scan:
         """For each token the first of its clause and the one after its last: what connectors and stops part."""
         edges, index = [-1], 0
         while index < len(self.tokens):
-            found = [
+            clauses = [
                 form
                 for form, _ in self.first_words(index)
                 if not form.others and not form.particle and not form.reflexive and self.in_a_row(form, index)
             ]
-            best = max(found, key=_weight, default=None)
+            best = max(clauses, key=_weight, default=None)
             inside = self.language == "de" and index and self.tokens[index - 1][0].isalnum() and index - 1 not in edges
             then = best is not None and best.kind == "then" and len(best.words) == 1
             if not self.tokens[index][0].isalnum() or (best and best.kind in _BOUNDARIES and not (then and inside)):
@@ -190,7 +190,7 @@ def scan_spaced(text: str, language: str) -> list[Concept]:
         text: A sentence.
         language: "de", "fr" or "es".
     """
-    scan, found = _Scan(text, language), []
+    scan, concepts = _Scan(text, language), []
     clauses = scan.clauses()
     determiners = {form for form, kind, _, _ in forms(language, fold) if kind == "determiners"}
     # verbs of several words first, so that what belongs to them is not read as something else
@@ -224,15 +224,15 @@ def scan_spaced(text: str, language: str) -> list[Concept]:
             elif form.kind == "then" and clauses[at][0] < at < clauses[at][1]:
                 mark = "inside"  # "und springt dann hoch"
             stop = scan.spans[at + len(form.words) - 1][1]
-            found.append(Concept(form.kind, form.value, start, stop, mark))
+            concepts.append(Concept(form.kind, form.value, start, stop, mark))
             at += len(form.words)
             continue
         if not scan.taken[at]:
             sign = "comma" if token in ",;:" else "stop" if not token[0].isalnum() else ""
             kind = "number" if token.isdigit() else sign or ("ignored" if token in _REFLEXIVE else "unknown")
-            found.append(Concept(kind, scan.raw[at] if kind == "unknown" else token, start, stop))
+            concepts.append(Concept(kind, scan.raw[at] if kind == "unknown" else token, start, stop))
         at += 1
-    return found
+    return concepts
 
 
 _GODAN = {
@@ -258,16 +258,16 @@ _DIGITS = re.compile(r"\d+")
 @functools.cache
 def _unspaced_lexicon(language: str) -> tuple[dict[str, list[tuple[str, str, str]]], int]:
     """Kind, English and mark of each surface, and the length of the longest."""
-    found: dict[str, list[tuple[str, str, str]]] = {}
+    lexicon: dict[str, list[tuple[str, str, str]]] = {}
     for form, kind, value, _ in forms(language):
         surfaces = [(form, "")]
         if kind == "verb":
             surfaces = _conjugated(form) if language == "ja" else _doubled(form)
         for surface, mark in surfaces:
-            rows = found.setdefault(surface, [])
+            rows = lexicon.setdefault(surface, [])
             if kind not in [other for other, _, _ in rows]:
                 rows.append((kind, value, mark))
-    return found, max(map(len, found))
+    return lexicon, max(map(len, lexicon))
 
 
 def _doubled(form: str) -> list[tuple[str, str]]:
@@ -309,7 +309,7 @@ def scan_unspaced(text: str, language: str) -> list[Concept]:
     """
     lexicon, longest = _unspaced_lexicon(language)
     plain = narrow(text).lower()
-    found: list[Concept] = []
+    concepts: list[Concept] = []
     index = 0
     while index < len(plain):
         letter = plain[index]
@@ -317,29 +317,29 @@ def scan_unspaced(text: str, language: str) -> list[Concept]:
             index += 1
             continue
         if not letter.isalnum() and letter not in "ー々":
-            found.append(Concept("comma" if letter in "、,，；;：:" else "stop", letter, index, index + 1))
+            concepts.append(Concept("comma" if letter in "、,，；;：:" else "stop", letter, index, index + 1))
             index += 1
             continue
         digits = _DIGITS.match(plain, index)
         if digits:
-            found.append(Concept("number", digits.group(), index, digits.end()))
+            concepts.append(Concept("number", digits.group(), index, digits.end()))
             index = digits.end()
             continue
         most = min(longest, len(plain) - index)
         size = next((size for size in range(most, 0, -1) if plain[index : index + size] in lexicon), 0)
         if size:
-            concept, index = _read(plain, index, size, lexicon[plain[index : index + size]], language, found)
-            found.append(concept)
+            concept, index = _read(plain, index, size, lexicon[plain[index : index + size]], language, concepts)
+            concepts.append(concept)
             continue
         stop = index + 1
         if letter.isascii():
             stop = index + len(re.match(r"[a-z0-9'-]+", plain[index:]).group())  # type: ignore[union-attr]
-        if found and found[-1].kind == "unknown" and found[-1].stop == index and not letter.isascii():
-            found[-1] = Concept("unknown", text[found[-1].start : stop], found[-1].start, stop)
+        if concepts and concepts[-1].kind == "unknown" and concepts[-1].stop == index and not letter.isascii():
+            concepts[-1] = Concept("unknown", text[concepts[-1].start : stop], concepts[-1].start, stop)
         else:
-            found.append(Concept("unknown", text[index:stop], index, stop))
+            concepts.append(Concept("unknown", text[index:stop], index, stop))
         index = stop
-    return found
+    return concepts
 
 
 def _read(

@@ -142,9 +142,9 @@ _NEAR = 4
 def _contacts(text: str) -> Iterator[Reading]:
     words, table, rows = words_of(text)[0], things(), lexicon().actions
     starts = {start for action, start in said_phrases(text)["actions"].items() if not rows[action].passing}
-    for verb, said in verbs_in(words, table.verbs | dict.fromkeys(table.looks, _THROUGH)):
+    for verb, deeds in verbs_in(words, table.verbs | dict.fromkeys(table.looks, _THROUGH)):
         zone = zone_of(words, verb)
-        what, among = _meant(words, said, zone)
+        what, among = _meant(words, deeds, zone)
         thing = _thing_touched(words, among, what) if what else None
         by_hand = lexicon().grammar["hands"].intersection(words[zone.start : zone.stop])
         if thing is not None:
@@ -202,8 +202,8 @@ def _thing_touched(words: Sequence[str], zone: range, what: str) -> Named[Kind] 
 
 def _done_with(words: Sequence[str], among: range, what: str) -> list[Named[Kind]]:
     """The things among some words that something is done with."""
-    known = [thing for thing in named_in(things().kinds, words, among) if what in thing.means.deeds]
-    return [thing for thing in known if _GIVEN & thing.means.kinds] if what == "give" else known
+    matching = [thing for thing in named_in(things().kinds, words, among) if what in thing.means.deeds]
+    return [thing for thing in matching if _GIVEN & thing.means.kinds] if what == "give" else matching
 
 
 def _contact(words: Sequence[str], zone: range, deed: str, thing: Named[Kind] | None) -> Contact:
@@ -234,8 +234,8 @@ def _terrains_in(words: Sequence[str]) -> Iterator[tuple[int, range, Terrain, ra
     for verb, implied in verbs_in(words, table.walks):
         zone = zone_of(words, verb)
         for noun in named_in(table.grounds, words, zone):
-            said = lexicon().grammar["ends"].intersection(words[zone.start : noun.start]) or {implied}
-            ground = next((ground for ground in noun.means if said & ground.after), None)
+            ends = lexicon().grammar["ends"].intersection(words[zone.start : noun.start]) or {implied}
+            ground = next((ground for ground in noun.means if ends & ground.after), None)
             if ground is not None:
                 yield verb, zone, Terrain(ground.name), noun.span
                 break
@@ -266,8 +266,8 @@ def _gazes(text: str) -> Iterator[Reading]:
     for verb, zone, seen in _gazes_in(words):
         shown = [action for action in actions_of(text) if starts[action] == verb]  # "looks around", a gesture
         alone = table.actions["look"].issuperset(shown) and not does_else(text, verb, zone)
-        found = [at for noun in named_in(table.gazes, words, zone) for at in noun.span]
-        yield Reading(seen.means, frozenset((verb, *found, *(seen.span if seen.means != table.level else ()))), alone)
+        spans = [at for noun in named_in(table.gazes, words, zone) for at in noun.span]
+        yield Reading(seen.means, frozenset((verb, *spans, *(seen.span if seen.means != table.level else ()))), alone)
 
 
 def _gazes_in(words: Sequence[str]) -> Iterator[tuple[int, range, Named[Gaze]]]:
@@ -284,10 +284,10 @@ def _gazes_in(words: Sequence[str]) -> Iterator[tuple[int, range, Named[Gaze]]]:
             named = [Named(noun.start, noun.stop, gaze) for noun in before for name, gaze in noun.means if name in ways]
         near = object_of(words, zone)
         if not named and (table.looks[words[verb]] or "at" in ways):
-            known = _nouns(words, zone)
-            if known:
-                down = math.degrees(math.atan2(EYES - known[-1].means.height, AWAY))
-                named = [Named(known[-1].start, known[-1].stop, Gaze(down))]
+            nouns = _nouns(words, zone)
+            if nouns:
+                down = math.degrees(math.atan2(EYES - nouns[-1].means.height, AWAY))
+                named = [Named(nouns[-1].start, nouns[-1].stop, Gaze(down))]
             elif names_a_thing(words, near):
                 named = [Named(near.start, near.start, table.level)]
         if named and words[zone.start] not in lexicon().grammar["sought"]:
@@ -437,9 +437,9 @@ def _place(words: Sequence[str], at: int) -> Place:
     if word in ("left", "right"):
         of_hand = after in table.grammar["limbs"] or (after == "side" and before == "with")
         return Place() if of_hand else Place("", word)
-    for height, said in table.heights.items():
+    for height, phrases in table.heights.items():
         over = word != "head" or {"over", "above", "on"} & set(words[max(at - 4, 0) : at])
-        if word in said and (over or height != "overhead"):
+        if word in phrases and (over or height != "overhead"):
             return Place(height)
     kind = things().kinds.get(word)
     if kind is not None and kind.place:
@@ -479,7 +479,7 @@ def with_names(clauses: Sequence[str]) -> list[str]:
     """Clauses in a row with the thing of the clause before in place of "it", where something is done with that: "walks
     to the window", "opens the window".
     """
-    found: list[str] = []
+    texts: list[str] = []
     last = ""
     for text in clauses:
         words, spans = words_of(text)
@@ -492,7 +492,7 @@ def with_names(clauses: Sequence[str]) -> list[str]:
                 said = f"{text[:start]}the {last}{of}{text[stop:]}"
                 text = said if read_as(Contact, said) else text
                 break
-        found.append(text)
+        texts.append(text)
         nouns = named_in(things().kinds, words, range(len(words)))
         last = " ".join(words[nouns[-1].start : nouns[-1].stop]) if nouns else last
-    return found
+    return texts

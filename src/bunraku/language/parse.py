@@ -112,15 +112,15 @@ def clause_of(text: str, seconds: float = 0.0) -> Clause:
     """
     posing, subject = split.limbs_described(text), subject_of(text)[0]
     if posing is not None:
-        whole = _clause(text, seconds)
+        clause = _clause(text, seconds)
         body = _clause(with_subject(posing.rest, subject), seconds) if posing.rest else None
-        if body is not None and not (says_more(whole.detail) and body.detail != whole.detail):
+        if body is not None and not (says_more(clause.detail) and body.detail != clause.detail):
             limbs = _clause(with_subject(posing.text, subject), seconds)
             part = " and ".join(posing.parts)
-            return replace(whole, voices=(body, replace(limbs, detail=replace(posing, rest=""), part=part)))
+            return replace(clause, voices=(body, replace(limbs, detail=replace(posing, rest=""), part=part)))
         # limbs may be how a thing is met: "stands at a cliff and looks down"
         things = body is not None or any(target.at in ("floor", "chair") for target in posing.targets)
-        return whole if things and says_more(whole.detail) else replace(whole, detail=posing)
+        return clause if things and says_more(clause.detail) else replace(clause, detail=posing)
     voices = tuple(_clause(voice, seconds) for voice in split.split_voices(text))
     parts = [] if voices else split.parts_of(text)
     if not parts or seconds / len(parts) < split.SHORTEST_CLAUSE:
@@ -189,21 +189,21 @@ def _for_body(clause: Clause, kind: str, wings: bool, as_people: bool) -> Clause
     """What a body does in place of a clause."""
     row = _row(clause.locomotion, kind)
     moves = row.moves if row else "fly" if clause.locomotion == "fly" and wings else ""
-    said = clause
+    adapted = clause
     if row and row.verb:
         predicate = subject_of(clause.text)[1]
         head = clause.text[: len(clause.text) - len(predicate)]
-        said = clause_of(head + said_otherwise(predicate, row.verb), clause.seconds)
-    ground = _on_ground(said)
-    text = said.text
+        adapted = clause_of(head + said_otherwise(predicate, row.verb), clause.seconds)
+    ground = _on_ground(adapted)
+    text = adapted.text
     if moves == "fly":  # the one flight that the network knows is a bird's
         subject, rest = subject_of(text)
         text = f"a bird {rest}" if subject else with_subject(text, "a bird")
     elif not as_people:
-        text = _of_creature(said)
-    if text != said.text:
-        said = clause_of(text, clause.seconds)
-    return replace(said, moves=moves or ("lie" if ground and kind == "snake" else ground))
+        text = _of_creature(adapted)
+    if text != adapted.text:
+        adapted = clause_of(text, clause.seconds)
+    return replace(adapted, moves=moves or ("lie" if ground and kind == "snake" else ground))
 
 
 def _on_ground(clause: Clause) -> str:
@@ -224,8 +224,8 @@ def _of_creature(clause: Clause) -> str:
     if clause.locomotion not in ("walk", "run"):
         return split.of_creature(clause.text)
     subject, rest = subject_of(clause.text)
-    said = f"{rest} forward" if all(word.endswith("ly") for word in rest.split()[1:]) else rest
-    return f"it {said}" if subject else split.of_creature(said)
+    caption = f"{rest} forward" if all(word.endswith("ly") for word in rest.split()[1:]) else rest
+    return f"it {caption}" if subject else split.of_creature(caption)
 
 
 def _in_vain(clause: Clause, kind: str, parts: Collection[str]) -> str:

@@ -22,8 +22,8 @@ _AFTER = ' "“”„«»`:;,.'
 
 def split_name(prompt: str) -> tuple[str, str]:
     """The name that stands before a prompt, "" where none does, and the prompt: "Walk = walks forward"."""
-    found = _NAMED.fullmatch(prompt)
-    return (found["name"], found["prompt"]) if found else ("", prompt)
+    match = _NAMED.fullmatch(prompt)
+    return (match["name"], match["prompt"]) if match else ("", prompt)
 
 
 def narrow(text: str) -> str:
@@ -75,7 +75,7 @@ def parse_sequence(text: str) -> list[tuple[str, float | None]]:
     pieces = text.split(";")
     if len(pieces) > 1 and not pieces[-1].strip():
         pieces.pop()
-    found: list[tuple[str, float | None]] = []
+    parts: list[tuple[str, float | None]] = []
     for number, piece in enumerate(pieces, 1):
         prompt, colon, tail = piece.rpartition(":")
         seconds = _number(tail) if colon else None
@@ -90,13 +90,13 @@ def parse_sequence(text: str) -> list[tuple[str, float | None]]:
             raise OptionError(
                 f"'{prompt[:60]}' cannot last {seconds:g} seconds; a part lasts {SHORTEST:g} to {LONGEST:g}"
             )
-        found.append((prompt, seconds))
-    _check_total([seconds for _, seconds in found if seconds is not None])
-    return found
+        parts.append((prompt, seconds))
+    _check_total([seconds for _, seconds in parts if seconds is not None])
+    return parts
 
 
 def _number(text: str) -> float | None:
-    """The seconds that a text gives, "nan" and "inf" among them; None where it is no number."""
+    """The seconds that a text gives, "nan" and "inf" among them; None if it is not a number."""
     try:
         return float(text.strip().rstrip("sS"))
     except ValueError:

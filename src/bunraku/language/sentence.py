@@ -75,8 +75,8 @@ class Clause:
 
     def lasting(self, seconds: float) -> Clause:
         """The same for so long [s]."""
-        voices = tuple(replace(one, seconds=seconds) for one in self.voices)
-        parts = tuple(one.lasting(one.seconds * seconds / self.seconds) for one in self.parts if self.seconds)
+        voices = tuple(replace(voice, seconds=seconds) for voice in self.voices)
+        parts = tuple(voice.lasting(voice.seconds * seconds / self.seconds) for voice in self.parts if self.seconds)
         return replace(self, seconds=seconds, voices=voices, parts=parts)
 
     @property
@@ -114,7 +114,7 @@ class Sentence:
 def in_stretches(sentence: Sentence, longest: float) -> list[Sentence]:
     """A sentence in stretches of about the same length, each at most `longest` seconds, which may cut clauses."""
     count = max(math.ceil(sentence.seconds / longest - 1e-9), 1)
-    share, found = sentence.seconds / count, []
+    share, stretches = sentence.seconds / count, []
     left = [(clause, clause.seconds) for clause in sentence.clauses]
     for number in range(count):
         room, clauses = share, []
@@ -128,5 +128,5 @@ def in_stretches(sentence: Sentence, longest: float) -> list[Sentence]:
             clauses.append(clause.lasting(taken))
             room -= taken
         if clauses:
-            found.append(replace(sentence, clauses=tuple(clauses), notes=() if number else sentence.notes))
-    return found
+            stretches.append(replace(sentence, clauses=tuple(clauses), notes=() if number else sentence.notes))
+    return stretches

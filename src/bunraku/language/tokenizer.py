@@ -39,12 +39,12 @@ class WordPieces:
     """
 
     def __init__(self, text: str):
-        said = json.loads(text)
-        model, normal = said["model"], said["normalizer"]
+        settings = json.loads(text)
+        model, normal = settings["model"], settings["normalizer"]
         if model["type"] != "WordPiece" or normal["type"] != "BertNormalizer" or not normal["lowercase"]:
             raise ValueError("its tokenizer is another")
         self._pieces: dict[str, int] = model["vocab"]
-        special = [token["content"] for token in said["added_tokens"]]
+        special = [token["content"] for token in settings["added_tokens"]]
         self._special = re.compile("(" + "|".join(map(re.escape, special)) + ")")
 
     def __len__(self) -> int:
@@ -54,31 +54,31 @@ class WordPieces:
         """The numbers of a sentence, the marks of its beginning and end among them; the end of one of more than `most`
         is left out.
         """
-        found: list[int] = []
+        numbers: list[int] = []
         for part in self._special.split(sentence):
             if self._special.fullmatch(part):
-                found.append(self._pieces[part])
+                numbers.append(self._pieces[part])
                 continue
             for word in _words(part):
-                found += self._of_word(word)
-            if len(found) > most:
+                numbers += self._of_word(word)
+            if len(numbers) > most:
                 break
-        return [self._pieces[FIRST], *found[: most - 2], self._pieces[LAST]]
+        return [self._pieces[FIRST], *numbers[: most - 2], self._pieces[LAST]]
 
     def _of_word(self, word: str) -> list[int]:
         """The longest piece that a word begins with, then that of the rest, and so on."""
         if len(word) > LONGEST_WORD:
             return [self._pieces[UNKNOWN]]
-        found, start = [], 0
+        pieces, start = [], 0
         while start < len(word):
             stop, mark = len(word), "##" if start else ""
             while stop > start and (piece := self._pieces.get(mark + word[start:stop])) is None:
                 stop -= 1
             if piece is None:
                 return [self._pieces[UNKNOWN]]
-            found.append(piece)
+            pieces.append(piece)
             start = stop
-        return found
+        return pieces
 
 
 def _words(text: str) -> list[str]:

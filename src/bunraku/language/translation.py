@@ -59,7 +59,7 @@ _MARKERS = frozenset("用把将在向往朝")
 
 def _measures(words: Sequence[Concept]) -> list[Concept]:
     """Numbers with what they count: "three steps", "twice", "90 degrees"; sides said of one part as "both"."""
-    found: list[Concept] = []
+    concepts: list[Concept] = []
     index = 0
     while index < len(words):
         word = words[index]
@@ -81,9 +81,9 @@ def _measures(words: Sequence[Concept]) -> list[Concept]:
             pair = words[index : index + 3]
             if [one.kind for one in pair] == ["side", "and", "side"] and pair[0].value != pair[2].value:
                 word, index = replace(word, value="both"), index + 2
-        found.append(word)
+        concepts.append(word)
         index += 1
-    return found
+    return concepts
 
 
 def _measure(number: str, unit: str) -> str:
@@ -97,7 +97,7 @@ def _measure(number: str, unit: str) -> str:
 
 def _parts(words: Sequence[Concept], part_first: bool) -> list[Concept]:
     """Sides joined with their parts: "the left hand"; a side alone is a direction."""
-    found: list[Concept] = []
+    items: list[Concept] = []
     skip: set[int] = set()
     kinds = {index: word for index, word in enumerate(words) if not (word.kind == "number" or word.value in _MARKERS)}
     for index, word in enumerate(words):
@@ -110,7 +110,7 @@ def _parts(words: Sequence[Concept], part_first: bool) -> list[Concept]:
                 part = kinds[near]
                 skip.update((index, near))
                 value = f"{word.value} {part.value}"
-                found.append(Concept("part", value, min(word.start, part.start), max(word.stop, part.stop), part.mark))
+                items.append(Concept("part", value, min(word.start, part.start), max(word.stop, part.stop), part.mark))
                 break
     last = ""  # the part that a side alone goes back to: "el brazo izquierdo y luego el derecho"
     for index, word in enumerate(words):
@@ -118,17 +118,17 @@ def _parts(words: Sequence[Concept], part_first: bool) -> list[Concept]:
         if index in skip:
             continue
         if word.kind == "side" and last and word.value in ("left", "right"):
-            found.append(replace(word, kind="part", value=f"{word.value} {last}"))
+            items.append(replace(word, kind="part", value=f"{word.value} {last}"))
         elif word.kind == "side":
             near = index - 1 if part_first else index + 1
             verb = words[near] if 0 <= near < len(words) else None  # 左手を振る, "salue de la main gauche"
-            if verb and verb.kind == "verb" and (own := _own_parts(head_of(verb.value))):
-                found.append(replace(word, kind="part", value=f"{word.value} {own[0]}/"))
+            if verb and verb.kind == "verb" and (parts := _own_parts(head_of(verb.value))):
+                items.append(replace(word, kind="part", value=f"{word.value} {parts[0]}/"))
             elif word.value in ("left", "right"):
-                found.append(replace(word, kind="direction", value=f"to the {word.value}"))
+                items.append(replace(word, kind="direction", value=f"to the {word.value}"))
         else:
-            found.append(word)
-    return sorted(found, key=lambda word: word.start)
+            items.append(word)
+    return sorted(items, key=lambda word: word.start)
 
 
 def head_of(verb: str) -> str:
@@ -212,7 +212,7 @@ def _adjectives(clauses: list[VerbPhrase]) -> list[VerbPhrase]:
     rows = {row["en"].split("/")[0]: row["en"].split("/")[1] for row in table()["manners"]}
     while len(clauses) > 1 and not clauses[0].verb and not any(item.kind == "steps" for item in clauses[0].items):
         first, second = clauses[0], clauses[1]
-        subject = " and ".join(with_article(one) for one in (first.subject, second.subject) if one)
+        subject = " and ".join(with_article(noun) for noun in (first.subject, second.subject) if noun)
         link = first.link if first.link in ("while", "before", "after") else ""
         clauses[:2] = [VerbPhrase(link, subject, second.verb, first.items + second.items)]
     for clause in clauses:
@@ -232,38 +232,38 @@ def _adjectives(clauses: list[VerbPhrase]) -> list[VerbPhrase]:
 
 def _ordered(clauses: list[VerbPhrase], asian: bool) -> list[VerbPhrase]:
     """Clauses in the order in which things happen: "before" and "after" become "then"."""
-    found: list[VerbPhrase] = []
+    order: list[VerbPhrase] = []
     index = 0
     while index < len(clauses):
         clause = clauses[index]
         after = clauses[index + 1] if index + 1 < len(clauses) else None
         if asian and after and after.link == "before" and after.verb:  # "before" stands after its verb
-            found += [replace(after, link=clause.link, subject=clause.subject or after.subject)]
-            found += [replace(clause, link="then", subject="")]
+            order += [replace(after, link=clause.link, subject=clause.subject or after.subject)]
+            order += [replace(clause, link="then", subject="")]
             index += 2
             continue
         if not asian and clause.link in ("before", "after"):
-            if not found and after:  # "bevor er springt, läuft er"
+            if not order and after:  # "bevor er springt, läuft er"
                 first, second = (after, clause) if clause.link == "before" else (clause, after)
                 subject = clause.subject or after.subject
-                found += [replace(first, link="", subject=subject), replace(second, link="then", subject="")]
+                order += [replace(first, link="", subject=subject), replace(second, link="then", subject="")]
                 index += 2
                 continue
-            if found and clause.link == "after":
-                last = found.pop()
-                found += [replace(clause, link=last.link, subject=last.subject), replace(last, link="then", subject="")]
+            if order and clause.link == "after":
+                last = order.pop()
+                order += [replace(clause, link=last.link, subject=last.subject), replace(last, link="then", subject="")]
                 index += 1
                 continue
-            clause = replace(clause, link="then" if found else "")
-        found.append(clause)
+            clause = replace(clause, link="then" if order else "")
+        order.append(clause)
         index += 1
-    if len(found) > 1:
-        first, second = found[:2]
+    if len(order) > 1:
+        first, second = order[:2]
         leads = first.link == "while" and second.link != "while"  # "während er läuft, winkt er"
         if leads or (asian and second.link == "while" and first.link != "while"):  # 歩きながら手を振る
             subject = first.subject or second.subject
-            found[:2] = [replace(second, link="", subject=subject), replace(first, link="while", subject="")]
-    return found
+            order[:2] = [replace(second, link="", subject=subject), replace(first, link="while", subject="")]
+    return order
 
 
 _ON = frozenset({"stand", "hop", "balance", "jump", "kneel", "lie", "crawl", "sit", "land", "leap", "spin", "turn"})
@@ -298,16 +298,16 @@ def _joined(clauses: list[VerbPhrase]) -> str:
             clause = replace(clause, verb=verb)  # "raises the left arm, then raises the right arm"
         verb = clause.verb or verb
         phrase = _phrase(clause)
-        own = f"{with_article(clause.subject)} " if index and clause.subject and clause.subject != subject else ""
+        start = f"{with_article(clause.subject)} " if index and clause.subject and clause.subject != subject else ""
         if not index:
             text += " " + conjugate(phrase, "plain" if plural else "third")
         elif clause.link == "while" and clause.verb:
             text += " while " + conjugate(phrase, "gerund")
         else:
-            form = "plain" if plural and not own else "third"
+            form = "plain" if plural and not start else "third"
             listed = clause.link == "comma" and index < last and clause.verb
             link = " and " if clause.link == "and" else ", " if listed else ", then "
-            text += link + own + conjugate(phrase, form)
+            text += link + start + conjugate(phrase, form)
     return re.sub(r"\bt-pose\b", "T-pose", " ".join(text.split()))
 
 
@@ -343,9 +343,9 @@ def _object(items: Sequence[Concept], default: str, head: str) -> Concept | None
 
 def _named(item: Concept, default: str) -> str:
     if item.kind == "part":
-        said = _part(item)
-        unsaid = said.removeprefix("the ") == default.removeprefix("the ").rstrip("s") and not item.mark
-        return default if unsaid and not _sided(item) else said
+        word = _part(item)
+        unsaid = word.removeprefix("the ") == default.removeprefix("the ").rstrip("s") and not item.mark
+        return default if unsaid and not _sided(item) else word
     name = item.value.partition("/")[0]
     return name if name in _BARE else with_article(name)
 
@@ -397,12 +397,12 @@ def _part(item: Concept) -> str:
     side, _, rest = item.value.rpartition(" ") if _sided(item) and "/" not in item.value else ("", "", item.value)
     if not side and _sided(item):
         side, rest = item.value.split(" ", 1)
-    one, _, many = rest.partition("/")
+    single, _, many = rest.partition("/")
     if side == "both":
-        return f"both {many or one + 's'}"
+        return f"both {many or single + 's'}"
     if side == "one":
-        return f"one {one}"
-    name = many if item.mark == "plural" and not side else one
+        return f"one {single}"
+    name = many if item.mark == "plural" and not side else single
     return f"the {side} {name}" if side else f"the {name}"
 
 

@@ -209,7 +209,7 @@ def check_understood(prompt: str, force: bool = False) -> Understanding:
         return found
     if found.denied:
         raise OptionError(
-            f"{found.denied[0]!r} says what is not done, and that is beyond it; say what is done instead, or go on "
+            f"{found.denied[0]!r} says what is not done, which is not understood; say what is done instead, or go on "
             "with --force (force=True in Python)"
         )
     what = _quoted(found.unknown) if found.unknown else f"'{' '.join(prompt.split())[:60]}'"

@@ -43,12 +43,12 @@ def own_words() -> frozenset[str]:
     if not path.is_file():
         return frozenset()
     try:
-        found = json.loads(read_bounded(path))
+        words = json.loads(read_bounded(path))
     except ValueError:
-        found = None
-    if not isinstance(found, list) or len(found) > _MOST_OWN_WORDS or not all(isinstance(one, str) for one in found):
-        raise WeightsError(f"{path}: this is no list of words; write it again with: bunraku data examples --add-to")
-    return frozenset(word.lower() for word in found)
+        words = None
+    if not isinstance(words, list) or len(words) > _MOST_OWN_WORDS or not all(isinstance(one, str) for one in words):
+        raise WeightsError(f"{path}: this is not a list of words; write it again with: bunraku data examples --add-to")
+    return frozenset(word.lower() for word in words)
 
 
 def write_own_words(folder: Path, words: Iterable[str]) -> Path:
@@ -85,7 +85,7 @@ def stem(word: str) -> str:
 
 def stems(words: Iterable[str]) -> list[str]:
     """The stem of each of some words."""
-    found, irregular = [], lexicon().irregular
+    stems, irregular = [], lexicon().irregular
     for word in words:
         word = word.lower().replace("’", "'").removesuffix("'s").rstrip("'")
         word = irregular.get(word, word)
@@ -99,15 +99,15 @@ def stems(words: Iterable[str]) -> list[str]:
             word = word[:-1]
         if len(word) > 2 and word[-1] == word[-2] and word[-1] not in "aeiou":
             word = word[:-1]
-        found.append(word[:-1] + "i" if len(word) > 2 and word[-1] == "y" else word)
-    return found
+        stems.append(word[:-1] + "i" if len(word) > 2 and word[-1] == "y" else word)
+    return stems
 
 
 @functools.cache
 def _written() -> dict[str, Any]:
     text = resources.files("bunraku.language").joinpath("vocabulary.json").read_text(encoding="utf-8")
-    found: dict[str, Any] = json.loads(text)
-    return found
+    content: dict[str, Any] = json.loads(text)
+    return content
 
 
 @functools.cache
@@ -153,16 +153,16 @@ def is_known(word: str) -> bool:
     plain = word.lower()
     if any(plain in words for words in (FUNCTION_WORDS, lexicon().lemmas, lexicon().words, _written()["words"])):
         return True
-    known = _stems()
-    if stem(word) in known or word.isdigit():
+    table = _stems()
+    if stem(word) in table or word.isdigit():
         return True
     parts = re.split(r"[-'’]", word)
-    return len(parts) > 1 and all(not part or part.isdigit() or stem(part) in known or len(part) < 2 for part in parts)
+    return len(parts) > 1 and all(not part or part.isdigit() or stem(part) in table or len(part) < 2 for part in parts)
 
 
 def words_of(sentence: str) -> list[Word]:
     """The words of a sentence with their places."""
-    return [Word(found.group(), *found.span(), is_known(found.group())) for found in _WORD.finditer(sentence)]
+    return [Word(match.group(), *match.span(), is_known(match.group())) for match in _WORD.finditer(sentence)]
 
 
 def says_action(sentence: str) -> bool:
@@ -205,11 +205,11 @@ def slips(one: str, other: str, most: int = 2) -> int:
 @functools.cache
 def _often() -> dict[str, list[str]]:
     """Words that may be meant, by their first letter, the most frequent first."""
-    found: dict[str, list[str]] = {}
+    by_stem: dict[str, list[str]] = {}
     for word, count in sorted(known_words().items(), key=lambda item: (-item[1], item[0])):
         if len(word) >= 4 and (count >= _OFTEN or len(word) > _LONG or word in FUNCTION_WORDS):
-            found.setdefault(word[0], []).append(word)
-    return found
+            by_stem.setdefault(word[0], []).append(word)
+    return by_stem
 
 
 @functools.lru_cache(maxsize=1024)
@@ -224,12 +224,12 @@ def corrected(word: str) -> str:
     most = 2 if len(stem(plain)) >= _LONG else 1
     near = [*_often().get(plain[0], ()), *(other for other in _often().get(plain[1], ()) if other[1] == plain[0])]
     letters = set(plain)
-    found = [
+    corrections = [
         (slips(plain, other, most), index, other)
         for index, other in enumerate(near)
         if len(letters.symmetric_difference(other)) <= 2 * most
     ]
-    best = min((item for item in found if item[0] <= most and _likely(plain, item[2])), default=None)
+    best = min((item for item in corrections if item[0] <= most and _likely(plain, item[2])), default=None)
     return best[2] if best else ""
 
 
@@ -252,15 +252,15 @@ _PLAIN_WORD = re.compile(r"[a-z]+(?:['-][a-z]+)*")
 @functools.cache
 def _phrases() -> tuple[tuple[str, str, frozenset[str]], ...]:
     """Each short caption as a sentence, its verb, and the stems of its words that say something."""
-    found = []
+    phrases = []
     for phrase in known_phrases():
         plain = conjugate(phrase, "plain")
         words = _PLAIN_WORD.findall(plain)
         verb = re.match(r"\{(\w+)\}", phrase)
         if verb and len(words) <= _LONGEST and not phrase.startswith("{be}"):
             stems = frozenset(stem(word) for word in words if word not in FUNCTION_WORDS)
-            found.append((f"a person {conjugate(phrase, 'third')}", verb.group(1), stems))
-    return tuple(found)
+            phrases.append((f"a person {conjugate(phrase, 'third')}", verb.group(1), stems))
+    return tuple(phrases)
 
 
 @functools.cache
@@ -268,14 +268,14 @@ def _index() -> tuple[dict[str, tuple[int, ...]], dict[str, float], dict[str, li
     """Phrases by stem, the weight of each stem (rare ones say more), and stems by the pairs of letters in them."""
     indices: dict[str, list[int]] = {}
     for index, (_, _, stems) in enumerate(_phrases()):
-        for one in stems:
-            indices.setdefault(one, []).append(index)
-    weights = {one: math.log(1 + len(_phrases()) / len(where)) for one, where in indices.items()}
+        for root in stems:
+            indices.setdefault(root, []).append(index)
+    weights = {root: math.log(1 + len(_phrases()) / len(where)) for root, where in indices.items()}
     looks: dict[str, list[str]] = {}
-    for one in indices:
-        for pair in _pairs(one):
-            looks.setdefault(pair, []).append(one)
-    return {one: tuple(where) for one, where in indices.items()}, weights, looks
+    for root in indices:
+        for pair in _pairs(root):
+            looks.setdefault(pair, []).append(root)
+    return {root: tuple(where) for root, where in indices.items()}, weights, looks
 
 
 def _pairs(word: str) -> frozenset[str]:
@@ -285,9 +285,9 @@ def _pairs(word: str) -> frozenset[str]:
 
 def _alike(word: str, most: int = 6) -> list[tuple[str, float]]:
     """Stems that look like a word, and how much: by pairs of letters first, the best of them by their slips."""
-    own, looks = _pairs(word), _index()[2]
-    common = Counter(one for pair in own for one in looks.get(pair, ()))
-    first = sorted(common, key=lambda one: (-common[one] / (len(own) + len(one)), one))[:most]
+    pairs, looks = _pairs(word), _index()[2]
+    common = Counter(one for pair in pairs for one in looks.get(pair, ()))
+    first = sorted(common, key=lambda one: (-common[one] / (len(pairs) + len(one)), one))[:most]
     return [(one, max(0.0, 1 - slips(word, one, 9) / max(len(word), len(one)))) for one in first]
 
 
@@ -303,13 +303,13 @@ def nearest_sentences(words: Sequence[str], unknown: Sequence[str] = (), count: 
     scores: Counter[int] = Counter()
     wanted = {stem(word): 1.0 for word in words if word.lower() not in FUNCTION_WORDS}
     for word in unknown[:_MOST_UNKNOWN]:
-        for one, share in _alike(stem(word)):
+        for root, share in _alike(stem(word)):
             if share < _LIKE[len(word) > _SHORT]:
                 continue
-            wanted[one] = max(wanted.get(one, 0.0), 0.5 * share)
-    for one, share in wanted.items():
-        for index in where.get(one, ()):
-            scores[index] += share * weights[one]  # type: ignore[assignment]
+            wanted[root] = max(wanted.get(root, 0.0), 0.5 * share)
+    for root, share in wanted.items():
+        for index in where.get(root, ()):
+            scores[index] += share * weights[root]  # type: ignore[assignment]
     phrases = _phrases()
     usual = Counter(verb for _, verb, _ in phrases if verb not in _DOING)  # where nothing is near: what is done most
 
@@ -317,9 +317,9 @@ def nearest_sentences(words: Sequence[str], unknown: Sequence[str] = (), count: 
         _, verb, stems = phrases[index]
         return -scores[index] / (2 + len(stems)), -usual[verb], len(stems), index
 
-    found: dict[str, str] = {}
+    sentences: dict[str, str] = {}
     for sentence, verb, _ in (phrases[index] for index in sorted(range(len(phrases)), key=rank)):
-        found.setdefault(verb, sentence)
-        if len(found) == count:
+        sentences.setdefault(verb, sentence)
+        if len(sentences) == count:
             break
-    return tuple(found.values())
+    return tuple(sentences.values())

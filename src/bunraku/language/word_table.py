@@ -48,8 +48,8 @@ _KINDS = {
 def table() -> dict[str, list[dict[str, str]]]:
     """The rows of each section."""
     text = resources.files("bunraku.language").joinpath("words.json").read_text(encoding="utf-8")
-    found: dict[str, list[dict[str, str]]] = json.loads(text)
-    return found
+    content: dict[str, list[dict[str, str]]] = json.loads(text)
+    return content
 
 
 def forms(language: str, fold: Callable[[str], str] = str) -> list[tuple[str, str, str, int]]:

@@ -238,9 +238,9 @@ class Animator:
         body = character if isinstance(character, Body) else self.body(character, request)
         for number, part in enumerate(in_stretches(sentence, STRETCH)):
             seed = request.sampling.seed + number
-            made = self(body, replace(request.with_seed(seed), sentence=part))
-            yield made
-            last = made.take(slice(-HISTORY, None))
+            motion = self(body, replace(request.with_seed(seed), sentence=part))
+            yield motion
+            last = motion.take(slice(-HISTORY, None))
             request = replace(request, constraints=request.constraints.following(last))
 
     def generate(
@@ -266,8 +266,8 @@ class Animator:
         if body is None:
             return motions
         return [
-            apply_locomotion(motion, one, body, constraints.loop)
-            for motion, one in zip(motions, sentences, strict=True)
+            apply_locomotion(motion, sentence, body, constraints.loop)
+            for motion, sentence in zip(motions, sentences, strict=True)
         ]
 
     def handles(self, character: Character, handles: Handles | str = "predict") -> Handles:
@@ -284,12 +284,12 @@ class Animator:
         if handles == "rig":
             from bunraku.anatomy.names.bone_names import rig_handles
 
-            found = replace(rig_handles(character), features=self.predictor.feature(character))
+            best = replace(rig_handles(character), features=self.predictor.feature(character))
         else:
-            found = self.predictor(character)
-        found = found.top(4)
+            best = self.predictor(character)
+        best = best.top(4)
         self.progress("handles", 1.0)
-        return found
+        return best
 
     def body(self, character: Character, request: Request) -> Body:
         """A character as a request moves it; several runs of one character share it.
@@ -405,8 +405,10 @@ def own_rig(character: Character, request: Request, on_handles: Callable[[], Ana
     if parts is not None or request.rig == "auto":
         return parts
     if character.rig is None:
-        raise CharacterError(f"{character.name}: there is no rig in this file; let its handles be moved")
-    raise CharacterError(f"{character.name}: {_not_understood(character)}; let its handles be moved")
+        raise CharacterError(
+            f"{character.name}: there is no rig in this file; move its handles instead (--rig handles)"
+        )
+    raise CharacterError(f"{character.name}: {_not_understood(character)}; move its handles instead (--rig handles)")
 
 
 def _written_handles(character: Character) -> Handles | None:

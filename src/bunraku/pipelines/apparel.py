@@ -35,6 +35,7 @@ from bunraku.core.character import Character
 from bunraku.core.nn.checkpoints import dated_checkpoint
 from bunraku.core.request import Progress
 from bunraku.errors import CharacterError
+from bunraku.pipelines.bodies import LEAST
 from bunraku.pipelines.clothes import (
     body_of_handles,
     excess_apparel_note,
@@ -45,8 +46,6 @@ from bunraku.pipelines.clothes import (
 from bunraku.pipelines.requests import Apparel
 
 __all__ = ["animated_clothed", "chained", "dressed", "learned", "shipped_displacement"]
-LEAST = 0.004
-"""Share of the surface under which `auto` takes a mesh to have no apparel."""
 RATE = 30.0
 RELAID = 3
 """How often chains are laid anew without the parts that they tear."""
@@ -171,12 +170,14 @@ def _chained(
     progress("apparel", 0.0)
     moved, bones = _boned(animation)
     assert moved.character.rig is not None
-    made = with_apparel_chains(moved.character, clothed, bones, stiffness, gravity)
-    dressed = DressedChains(made, clothed, bones, moved.character.rig)
-    found = steady_simulation(made.on(moved), made.rig(tied=False), progress=lambda done: progress("apparel", done))
-    for problem in found.report.problems():
+    chain_rig = with_apparel_chains(moved.character, clothed, bones, stiffness, gravity)
+    dressed = DressedChains(chain_rig, clothed, bones, moved.character.rig)
+    result = steady_simulation(
+        chain_rig.on(moved), chain_rig.rig(tied=False), progress=lambda done: progress("apparel", done)
+    )
+    for problem in result.report.problems():
         _log.warning("%s: %s", animation.character.name, problem)
-    calm = found.animation
+    calm = result.animation
     for repair in CHAIN_REPAIRS:
         calm = repair(calm, dressed)
     return calm, dressed
@@ -208,17 +209,17 @@ def _untorn(
     name = animation.character.name
     for attempt in range(RELAID):
         try:
-            found, dressed = _chained(animation, clothed, stiffness, gravity, progress)
+            mended, dressed = _chained(animation, clothed, stiffness, gravity, progress)
         except CharacterError:
             if attempt:
                 break
             raise
-        found, torn = MendTears()(found, plain, dressed)
+        mended, torn = MendTears()(mended, plain, dressed)
         if not torn:
-            return found
+            return mended
         if drawn:
             _log.warning("%s: %d parts of the mask are torn; paint them to an edge of their surface", name, len(torn))
-            return found
+            return mended
         _log.warning("%s: %d parts of hair or clothes would be torn and go with the body", name, len(torn))
         kept = clothed.apparel & ~np.isin(clothed.part, list(torn))
         if _little(animation.character, kept):

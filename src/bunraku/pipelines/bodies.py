@@ -24,7 +24,7 @@ __all__ = [
 
 
 LEAST = 0.004
-"""Share of the surface above which a part counts as found; chosen by eye."""
+"""Share of the surface above which a part, or apparel, counts as found; chosen by eye."""
 SURE, LIKELY = 0.85, 0.7
 """Mean weight of a part's handles over the part from which on it is called sure, and likely; chosen by eye."""
 _MIDDLE: dict[str, tuple[str, ...]] = {
@@ -56,8 +56,8 @@ class PartFact:
     @property
     def words(self) -> str:
         """The same in words."""
-        said = "sure" if self.sure >= SURE else "likely" if self.sure >= LIKELY else "a guess"
-        return f"{self.name}: {100 * self.area:.0f} % of the surface, {100 * self.sure:.0f} % clear ({said})"
+        certainty = "sure" if self.sure >= SURE else "likely" if self.sure >= LIKELY else "a guess"
+        return f"{self.name}: {100 * self.area:.0f} % of the surface, {100 * self.sure:.0f} % clear ({certainty})"
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ def body_kind(plan: BodyPlan) -> str:
 def adapt_sentence(sentence: Sentence, plan: BodyPlan) -> Sentence:
     """A sentence as a body of this plan does it."""
     there = {"arms": plan.arms, "forelegs": plan.front, "wings": plan.wings}
-    return for_body(sentence, body_kind(plan), [part for part, found in there.items() if found], moves_as_people(plan))
+    return for_body(sentence, body_kind(plan), [part for part, has in there.items() if has], moves_as_people(plan))
 
 
 def moves_as_people(plan: BodyPlan) -> bool:

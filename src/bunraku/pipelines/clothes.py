@@ -76,8 +76,8 @@ def separate_apparel(
         mask,
         np.clip(found.stiffness + dial, SOFTEST, STIFFEST), found.damping,
     )  # fmt: skip
-    own = (hair & clothed.apparel)[:, None]
-    return replace(clothed, weights=np.where(own, np.eye(JOINT_COUNT, dtype=np.float32)[_HEAD], clothed.weights))
+    locks = (hair & clothed.apparel)[:, None]
+    return replace(clothed, weights=np.where(locks, np.eye(JOINT_COUNT, dtype=np.float32)[_HEAD], clothed.weights))
 
 
 def excess_apparel_note(character: Character, apparel: np.ndarray) -> str:

@@ -251,12 +251,12 @@ class Constraints(tuple[Constraint, ...]):
     @property
     def after(self) -> HandleMotion | AnimatedCharacter | None:
         """The clip in whose last pose the motion starts; OptionError where it is named and not opened."""
-        found = cast("Follow | None", self._one("after"))
-        if found is None:
+        follow = cast("Follow | None", self._one("after"))
+        if follow is None:
             return None
-        if isinstance(found.clip, str):
-            raise OptionError(f"the clip '{found.clip[:60]}' is only named; open it, and give the animation")
-        return found.clip
+        if isinstance(follow.clip, str):
+            raise OptionError(f"the clip '{follow.clip[:60]}' is only named; open it, and give the animation")
+        return follow.clip
 
     def following(self, clip: HandleMotion | AnimatedCharacter) -> Self:
         """The same, following a clip in place of the one that was named."""
@@ -297,14 +297,14 @@ class Constraints(tuple[Constraint, ...]):
         """The constraints of a JSON form; OptionError where it is not such a form."""
         if not isinstance(data, list | tuple):
             raise OptionError("constraints must be a list")
-        found = []
+        pins = []
         for form in data:
             kind = form.get("kind") if isinstance(form, dict) else None
             if not isinstance(kind, str) or kind not in CONSTRAINTS:
                 raise OptionError(f"a constraint is an object with a kind: {', '.join(CONSTRAINTS)}")
             module, name = CONSTRAINTS[kind].split(":")
-            found.append(getattr(importlib.import_module(module), name).from_json(form))
-        return cls(found)
+            pins.append(getattr(importlib.import_module(module), name).from_json(form))
+        return cls(pins)
 
 
 HANDLES = ("predict", "rig")
@@ -433,7 +433,7 @@ class Request:
         if self.rig not in RIGS:
             raise OptionError(f"what moves is 'auto', 'own' or 'handles', not '{self.rig}'; choose one of the three")
         if self.rig == "own" and self.handles_given:
-            raise OptionError(f"handles are no bones of the file; leave out {dashes}rig own or {dashes}handles")
+            raise OptionError(f"handles are not bones of the file; leave out {dashes}rig own or {dashes}handles")
         self.apparel.check_with(self.constraints, self.handles_given or self.rig == "handles", dashes)
 
     @property
@@ -462,11 +462,11 @@ class Request:
 
             stages = from_json(Stages, form.stages, "stages")
         constraints = Constraints.from_json(form.constraints)
-        found = cls(
+        request = cls(
             form.sentence, form.sampling, constraints, form.apparel, stages, form.handles, form.force, form.rig
         )  # fmt: skip
-        found.check(clip=any(constraint.kind in _OF_A_CLIP for constraint in constraints))
-        return found
+        request.check(clip=any(constraint.kind in _OF_A_CLIP for constraint in constraints))
+        return request
 
 
 @dataclass(frozen=True)
@@ -544,9 +544,9 @@ def clip_names(prompts: Iterable[str]) -> dict[str, str]:
 
     out: dict[str, str] = {}
     for prompt in prompts:
-        name, said = split_name(prompt)
-        words = "-".join(re.findall(r"\w+", said.split(";")[0].lower()))[:LONGEST].strip("-")
-        out[free_name(name or words or "clip", out)] = said
+        name, sentence = split_name(prompt)
+        words = "-".join(re.findall(r"\w+", sentence.split(";")[0].lower()))[:LONGEST].strip("-")
+        out[free_name(name or words or "clip", out)] = sentence
     return out
 
 

@@ -49,18 +49,18 @@ def reference_motion(motion: Motion, *, fps: float = 20.0, names: Mapping[str, s
     if isinstance(motion, SkeletalMotion):
         return _of_skeleton(motion, fps, names)
     if isinstance(motion, RigAnimation):
-        known = motion.reference or _of_rig(motion.character, *motion.world(), motion.fps)
+        reference = motion.reference or _of_rig(motion.character, *motion.world(), motion.fps)
     elif isinstance(motion, MeshMotion):
-        known = _of_mesh(_standing(motion), motion.vertices, motion.fps)
+        reference = _of_mesh(_standing(motion), motion.vertices, motion.fps)
     elif isinstance(motion, Animation):
-        known = motion.reference or _of_animation(motion)
+        reference = motion.reference or _of_animation(motion)
     else:
-        known = motion
-        if known.translations.shape[1] != HANDLE_COUNT:
+        reference = motion
+        if reference.translations.shape[1] != HANDLE_COUNT:
             raise MotionError(
-                f"a motion of the reference body has {HANDLE_COUNT} handles, not {known.translations.shape[1]}"
+                f"a motion of the reference body has {HANDLE_COUNT} handles, not {reference.translations.shape[1]}"
             )
-    return resample(known, fps)
+    return resample(reference, fps)
 
 
 def creature_motion(
@@ -69,32 +69,32 @@ def creature_motion(
     """The motion of a body on four legs or more, on none or on wings, or on two legs along a level spine; None for
     people and other upright bodies. Arguments and errors are those of `reference_motion`.
     """
-    found = _creature_motion(motion, fps, names)
-    if found is not None and found.plan.kind == "two legs" and not found.flies:
+    creature = _creature_motion(motion, fps, names)
+    if creature is not None and creature.plan.kind == "two legs" and not creature.flies:
         person = reference_motion(motion, fps=fps, names=names).of_own_body(False)
-        found = replace(found, person=person)
-    return found
+        creature = replace(creature, person=person)
+    return creature
 
 
 def _creature_motion(motion: Motion, fps: float, names: Mapping[str, str] | None) -> CreatureMotion | None:
-    found: CreatureMotion | None = None
+    creature: CreatureMotion | None = None
     if isinstance(motion, SkeletalMotion):
         return motion_of_skeleton(motion, fps, names)
     if isinstance(motion, RigAnimation | Animation):
         character, rig = motion.character, motion.character.rig
         count = len(motion.handles.positions)
         if isinstance(motion, Animation) and count == HANDLE_COUNT and (rig is None or count != len(rig.names) + 1):
-            found = motion_of_handles(motion.motion, Anatomy.of(character, motion.handles))
+            creature = motion_of_handles(motion.motion, Anatomy.of(character, motion.handles))
         elif rig is not None and (isinstance(motion, RigAnimation) or count == len(rig.names) + 1):
             world = motion.world() if isinstance(motion, RigAnimation) else bones_of(motion)
             try:
                 character, rotations, positions = _facing(character, *world)
-                found = motion_of_rig(RigParts.of(character), rotations, positions, motion.motion.fps)
+                creature = motion_of_rig(RigParts.of(character), rotations, positions, motion.motion.fps)
             except CharacterError:  # the names of its bones say nothing
-                found = _creature_of_mesh(replace(motion.character, rig=None), motion.vertices(), motion.fps)
+                creature = _creature_of_mesh(replace(motion.character, rig=None), motion.vertices(), motion.fps)
     elif isinstance(motion, MeshMotion):
-        found = _creature_of_mesh(_standing(motion), motion.vertices, motion.fps)
-    return None if found is None else found.at(fps)
+        creature = _creature_of_mesh(_standing(motion), motion.vertices, motion.fps)
+    return None if creature is None else creature.at(fps)
 
 
 def _of_skeleton(motion: SkeletalMotion, fps: float, names: Mapping[str, str] | None) -> HandleMotion:
@@ -103,8 +103,8 @@ def _of_skeleton(motion: SkeletalMotion, fps: float, names: Mapping[str, str] | 
     from bunraku.core.motion import resample_motion
     from bunraku.generation.features import body_handle_motion
 
-    found = map_skeleton(motion.skeleton, names)
-    return body_handle_motion(to_smpl(resample_motion(motion, fps), found))
+    mapped = map_skeleton(motion.skeleton, names)
+    return body_handle_motion(to_smpl(resample_motion(motion, fps), mapped))
 
 
 def _of_animation(animation: Animation) -> HandleMotion:

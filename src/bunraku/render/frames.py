@@ -176,7 +176,7 @@ def _take(animation: Animation | PointAnimation, times: np.ndarray, color: str) 
     share = np.clip(at - before, 0, 1).astype(np.float32)[:, None, None, None]
     basis = skin_basis(rest, weights)
     chunk = max(int(CHUNK_BYTES // (12 * len(rest))), 1)
-    own = animation.offsets if isinstance(animation, PointAnimation) else None
+    offsets = animation.offsets if isinstance(animation, PointAnimation) else None
     rows = slice(None) if origin is None else origin
 
     def frames() -> Iterator[np.ndarray]:
@@ -186,9 +186,9 @@ def _take(animation: Animation | PointAnimation, times: np.ndarray, color: str) 
             left = np.ascontiguousarray(blend.transpose(0, 2, 1, 3)).reshape(3 * len(blend), -1)
             for number, posed in enumerate((left @ basis).reshape(len(blend), 3, -1), start):
                 vertices = np.ascontiguousarray(posed.T)
-                if own is not None:
+                if offsets is not None:
                     later = float(share[number, 0, 0, 0])
-                    vertices += (1 - later) * own[before[number]][rows] + later * own[after[number]][rows]
+                    vertices += (1 - later) * offsets[before[number]][rows] + later * offsets[after[number]][rows]
                 yield vertices
 
     return _Take(rest, faces, colors, frames, len(times), floor=float(rest[:, 1].min()))

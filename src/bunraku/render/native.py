@@ -43,7 +43,7 @@ def native() -> Native:
     text = SOURCE.read_bytes() + repr(FLAGS).encode()
     mark = hashlib.sha256(text + platform.machine().encode()).hexdigest()[:16]
     name = f"bunraku-kernels-{mark}{'.dll' if sys.platform == 'win32' else '.so'}"
-    compiler = next((found for word in ("cc", "gcc", "clang") if (found := shutil.which(word))), None)
+    compiler = next((program for word in ("cc", "gcc", "clang") if (program := shutil.which(word))), None)
     for folder in _folders():
         path = folder / name
         try:

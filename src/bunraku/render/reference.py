@@ -85,8 +85,8 @@ def rasterise(screen: np.ndarray, faces: np.ndarray, depth: np.ndarray, ids: np.
     kept = np.flatnonzero(seen)
     first = np.maximum(low[kept], 0).astype(np.int64)
     last = np.minimum(high[kept], (width - 1, height - 1)).astype(np.int64)
-    whole = (last >= first).all(axis=1)
-    kept, first, last = kept[whole], first[whole], last[whole]
+    visible = (last >= first).all(axis=1)
+    kept, first, last = kept[visible], first[visible], last[visible]
     if not len(kept):
         return width, height, 0, 0
     for index, x, y in _pairs(first, last):
@@ -204,9 +204,9 @@ def _occlusion(heights: np.ndarray, x: np.ndarray, y: np.ndarray, height: np.nda
     x, y = np.where(inside, x, 1), np.where(inside, y, 1)
     i, j = x.astype(np.int64), y.astype(np.int64)
     total = np.zeros(len(x))
-    one = np.ones(len(x))
-    for dj, wy in zip(range(-1, 3), (1 - (y - j), one, one, y - j), strict=True):
-        for di, wx in zip(range(-1, 3), (1 - (x - i), one, one, x - i), strict=True):
+    ones = np.ones(len(x))
+    for dj, wy in zip(range(-1, 3), (1 - (y - j), ones, ones, y - j), strict=True):
+        for di, wx in zip(range(-1, 3), (1 - (x - i), ones, ones, x - i), strict=True):
             total += np.where(heights[j + dj, i + di] > height, wx * wy, 0)
     return np.where(inside, total / 9, 0)
 
@@ -271,7 +271,7 @@ def shade(
     heights, floor_shadow, corner, texel = shadows
     size = (ids.shape[1], ids.shape[0])
     rows, columns = (side.ravel() for side in np.mgrid[top:bottom, left:right])
-    found = ids[rows, columns]
+    face_ids = ids[rows, columns]
     tints = np.empty((len(rows), 4, 3))
     slopes = light[[0, 2]] / light[1]
 
@@ -316,15 +316,15 @@ def shade(
         return shown
 
     for s in range(4):
-        face = found[:, s]
+        face = face_ids[:, s]
         shared = np.full(len(rows), s)
         for e in range(s - 1, -1, -1):  # no crease parts faces that share a point: one shading serves both
-            both = (face >= 0) & (found[:, e] >= 0)
-            touch = (faces[face][:, :, None] == faces[found[:, e]][:, None, :]).any(axis=(1, 2))
-            shared[(face == found[:, e]) | (both & touch)] = e
-        own = shared == s
-        tints[~own, s] = tints[~own, shared[~own]]
-        empty, covered = np.flatnonzero(own & (face < 0)), np.flatnonzero(own & (face >= 0))
+            both = (face >= 0) & (face_ids[:, e] >= 0)
+            touch = (faces[face][:, :, None] == faces[face_ids[:, e]][:, None, :]).any(axis=(1, 2))
+            shared[(face == face_ids[:, e]) | (both & touch)] = e
+        same_face = shared == s
+        tints[~same_face, s] = tints[~same_face, shared[~same_face]]
+        empty, covered = np.flatnonzero(same_face & (face < 0)), np.flatnonzero(same_face & (face >= 0))
         tints[empty, s] = floor(empty)
         tints[covered, s] = character(covered, face[covered])
     out[top:bottom, left:right] = (

@@ -139,7 +139,7 @@ def draw_parallel(opened: Callable[[], SoftwareRenderer], frames: Iterable[Frame
         return
     free: SimpleQueue[SoftwareRenderer] = SimpleQueue()
     free.put(first)
-    made = 1
+    drawn = 1
 
     def draw(frame: Frame) -> np.ndarray:
         renderer = free.get()
@@ -153,8 +153,8 @@ def draw_parallel(opened: Callable[[], SoftwareRenderer], frames: Iterable[Frame
     pool = ThreadPoolExecutor(threads, "bunraku-preview")
     try:
         for frame in islice(source, 2 * threads):
-            if made < threads and len(ahead) >= made:
-                made += 1
+            if drawn < threads and len(ahead) >= drawn:
+                drawn += 1
                 free.put(opened())
             ahead.append(pool.submit(draw, frame))
         while ahead:

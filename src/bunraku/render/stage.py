@@ -359,9 +359,9 @@ def parse_background(background: Background) -> tuple[np.ndarray, np.ndarray]:
         )
         return upper, lower
     except (ValueError, TypeError, IndexError):
-        known = ", ".join(BACKGROUNDS)
+        names = ", ".join(BACKGROUNDS)
         raise OptionError(
-            f"background {background!r} is not one of {known}, a colour such as '#dfe4e9', or three numbers 0 to 255"
+            f"background {background!r} is not one of {names}, a colour such as '#dfe4e9', or three numbers 0 to 255"
         ) from None
 
 

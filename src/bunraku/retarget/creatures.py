@@ -18,7 +18,7 @@ from bunraku.anatomy.names.bone_names import NO_HANDLE, handle_of_joints
 from bunraku.core.animation import Animation, RigAnimation
 from bunraku.core.body.layout import HANDLE_NAMES, HANDLE_PARENTS, JOINT_NAMES
 from bunraku.core.character import Character, Rig
-from bunraku.core.geometry.curves import tallest_steady
+from bunraku.core.geometry.curves import STANDS, tallest_steady
 from bunraku.core.geometry.rotations import Resampling, matrix_y, nearest_rotation, rotation_between
 from bunraku.core.motion import HandleMotion, SkeletalMotion, local_rotations, resample, resample_motion
 from bunraku.errors import MotionError
@@ -89,7 +89,7 @@ def _octahedron(start: np.ndarray, end: np.ndarray, width: float) -> np.ndarray:
     side /= np.linalg.norm(side)
     other = np.cross(along, side)
     middle = start + 0.3 * (end - start)
-    ring = [middle + width * some for some in (side, other, -side, -other)]
+    ring = [middle + width * offset for offset in (side, other, -side, -other)]
     return np.array([start, *ring, end])
 
 
@@ -144,9 +144,9 @@ def find_limbs(parts: np.ndarray, parents: np.ndarray) -> Limbs | None:
     for family in FAMILIES:
         sides = []
         for side in SIDES:
-            own = np.isin(parts, limb_handles(side, family))
-            inner = [joint for joint in np.flatnonzero(own) if parents[joint] < 0 or not own[parents[joint]]]
-            lines = [_longest(int(joint), own, parents) for joint in inner]
+            members = np.isin(parts, limb_handles(side, family))
+            inner = [joint for joint in np.flatnonzero(members) if parents[joint] < 0 or not members[parents[joint]]]
+            lines = [_longest(int(joint), members, parents) for joint in inner]
             sides.append(max(lines, key=len, default=[]))
         families.append((sides[0], sides[1]))
     if min(len(line) for family in families for line in family) < 2:
@@ -211,10 +211,10 @@ def _evening(positions: np.ndarray, limbs: Limbs) -> dict[int, np.ndarray]:
     for left, right in (limbs.hind, limbs.front):
         if len(left) != len(right):
             continue
-        for (one, below), (other, under) in zip(pairwise(left), pairwise(right), strict=True):
-            bones = positions[below] - positions[one], (positions[under] - positions[other]) * MIRROR
+        for (joint, below), (other, under) in zip(pairwise(left), pairwise(right), strict=True):
+            bones = positions[below] - positions[joint], (positions[under] - positions[other]) * MIRROR
             middle = sum(bone / max(float(np.linalg.norm(bone)), 1e-12) for bone in bones)
-            out[one] = rotation_between(bones[0], middle)
+            out[joint] = rotation_between(bones[0], middle)
             out[other] = rotation_between(bones[1] * MIRROR, middle * MIRROR)
     return out
 
@@ -267,12 +267,9 @@ def _person(rest: np.ndarray, limbs: Limbs, parts: np.ndarray) -> bool:
     return bool(steep and legs[1] < -0.5 * np.linalg.norm(legs) and not tail)
 
 
-STANDS = 0.05  # share of frames whose lowest point may be under the ground
-
-
 @dataclass(frozen=True, eq=False)
 class CreatureMotion:
-    """Motion of a body that is no person.
+    """Motion of a body that is not a person.
 
     Args:
         motion: Of 30 handles with the reference body's meaning. Rotations are relative to the pose in which the body
@@ -333,16 +330,16 @@ def _parts(motion: SkeletalMotion, names: Mapping[str, str] | None) -> np.ndarra
     skeleton = motion.skeleton
     parts = handle_of_joints(skeleton.names, skeleton.parents)
     try:
-        found = map_skeleton(skeleton, names)
+        mapped = map_skeleton(skeleton, names)
     except MotionError:
         if names:
             raise
         return parts
-    for part, (joint, how) in enumerate(zip(found.joints, found.how, strict=True)):
+    for part, (joint, how) in enumerate(zip(mapped.joints, mapped.how, strict=True)):
         if joint >= 0 and (parts[joint] == NO_HANDLE or how == "given") and (how == "given" or part not in parts):
             parts[parts == part] = NO_HANDLE
             parts[joint] = part
-    left_out = [JOINT_NAMES.index(name) for name, own in (names or {}).items() if not own and name in JOINT_NAMES]
+    left_out = [JOINT_NAMES.index(name) for name, bone in (names or {}).items() if not bone and name in JOINT_NAMES]
     parts[np.isin(parts, left_out)] = NO_HANDLE
     return parts
 

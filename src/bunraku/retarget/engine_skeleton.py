@@ -21,9 +21,6 @@ from bunraku.files import Source
 
 __all__ = ["carried", "on_skeleton", "t_pose"]
 
-LEAST = 1e-4
-"""Share of the surface that a part must move to get a joint, unless a humanoid needs it."""
-
 
 def on_skeleton(anatomy: Anatomy, names: str, weights: np.ndarray | None = None) -> Character:
     """A person's mesh in a T-pose on a tree of joints.
@@ -75,8 +72,8 @@ def carried(animation: Animation, anatomy: Anatomy, skeleton: Character) -> RigA
         CharacterError: That is another character.
     """
     names = skeleton.rig.names if skeleton.rig is not None else ()
-    known = next((one for one in SKELETONS if set(names) <= {*engine_names(one), ROOTS.get(one, "")}), None)
-    if known is None or not names or len(animation.handles.positions) != len(HANDLE_NAMES):
+    engine = next((kind for kind in SKELETONS if set(names) <= {*engine_names(kind), ROOTS.get(kind, "")}), None)
+    if engine is None or not names or len(animation.handles.positions) != len(HANDLE_NAMES):
         raise CharacterError(f"{skeleton.name}: it is not the skeleton of the handles that move; make it of them")
     moved, placed = t_pose(_plain(anatomy))
     does = animation.motion.transforms(animation.handles.positions).astype(np.float64)
@@ -85,7 +82,7 @@ def carried(animation: Animation, anatomy: Anatomy, skeleton: Character) -> RigA
     heads = np.einsum("nkij,kj->nki", turned, placed) + shift
     rotations = np.tile(np.eye(3), (len(does), len(names), 1, 1))
     positions = np.zeros((len(does), len(names), 3))
-    listed = engine_names(known)
+    listed = engine_names(engine)
     for joint, name in enumerate(names):
         if name in listed:  # the root on the ground stands still
             handle = listed.index(name)
@@ -127,7 +124,7 @@ def t_pose(anatomy: Anatomy) -> tuple[np.ndarray, np.ndarray]:
 def _rig(anatomy: Anatomy, heads: np.ndarray, names: str, held: np.ndarray) -> Rig:
     """The joints of the parts that are there, and the weights of the others on the joints above them."""
     share = (held * anatomy.character.areas[:, None]).sum(axis=0) / max(anatomy.character.areas.sum(), 1e-30)
-    there = (share > LEAST) | np.isin(HANDLE_NAMES, REQUIRED)
+    there = (share > 1e-4) | np.isin(HANDLE_NAMES, REQUIRED)
     goes_to = np.arange(len(there))
     for handle, parent in enumerate(HANDLE_PARENTS):
         if not there[handle]:

@@ -44,7 +44,7 @@ def model_of(target: Character | MmdModel) -> MmdModel:
     """
     model = target if isinstance(target, MmdModel) else mmd_model(target)
     if model is None:
-        raise MotionError(f"{target.name}: this character is no MMD model; load one from a PMX or PMD file")
+        raise MotionError(f"{target.name}: this character is not an MMD model; load one from a PMX or PMD file")
     return model
 
 
@@ -54,12 +54,12 @@ def standard_bones(model: MmdModel) -> SkeletonMap:
     Raises:
         MotionError: The bones do not have MMD's standard names.
     """
-    found = mmd_skeleton_map(model.names)
-    if found is None:
+    bones = mmd_skeleton_map(model.names)
+    if bones is None:
         raise MotionError(
             f"{model.name or 'this model'}: its bones do not have MMD's standard names (下半身, 左足, 左ひざ ...)"
         )
-    return found
+    return bones
 
 
 def play_vmd(target: Character | MmdModel, vmd: VmdMotion, fps: float = VMD_FPS, *, ik: bool | None = None) -> MmdPoses:
@@ -75,8 +75,8 @@ def play_vmd(target: Character | MmdModel, vmd: VmdMotion, fps: float = VMD_FPS,
         MotionError: The character is no MMD model, none of its bones has keys, or there are too many frames.
     """
     model = model_of(target)
-    own = {_cut(name, 15): name for name in reversed(model.names)}
-    if not own.keys() & vmd.bones.keys():
+    bones = {_cut(name, 15): name for name in reversed(model.names)}
+    if not bones.keys() & vmd.bones.keys():
         raise MotionError(
             f"the motion moves none of the {len(model.bones)} bones of {model.name or 'this model'}; take one that "
             "was made for MMD's standard bones"
@@ -87,7 +87,7 @@ def play_vmd(target: Character | MmdModel, vmd: VmdMotion, fps: float = VMD_FPS,
             f"the motion has {count:,} frames for {len(model.bones):,} bones, too many; cut it or ask for fewer "
             "frames a second"
         )
-    tracks = {own[name]: track for name, track in vmd.sample(fps, own).items()}
+    tracks = {bones[name]: track for name, track in vmd.sample(fps, bones).items()}
     frames = np.arange(count) * (VMD_FPS / fps)
     goals = [bone.name for bone in model.bones if bone.ik is not None]
     on = {name: _switched(vmd, _cut(name, 20), frames) if ik is None else np.full(count, ik) for name in goals}
@@ -122,9 +122,9 @@ def mmd_poses_to_smpl(poses: MmdPoses) -> SkeletalMotion:
     Raises:
         MotionError: The bones do not have MMD's standard names.
     """
-    found = standard_bones(poses.model)
+    bones = standard_bones(poses.model)
     parents = poses.model.parents
-    lines = {joint: line_up(joint, parents) for joint in found.joints if joint >= 0}
+    lines = {joint: line_up(joint, parents) for joint in bones.joints if joint >= 0}
     shared = set.intersection(*(set(line) for line in lines.values()))
     root = next((bone for bone in next(iter(lines.values())) if bone in shared), -1)
     if root < 0:
@@ -140,8 +140,8 @@ def mmd_poses_to_smpl(poses: MmdPoses) -> SkeletalMotion:
     local = local_rotations(poses.rotations[:, chosen].astype(float), above)
     skeleton = Skeleton(tuple(poses.model.names[bone] for bone in chosen), above, offsets)
     motion = SkeletalMotion(skeleton, local, poses.positions[:, root], poses.fps)
-    joints = tuple(index[joint] if joint >= 0 else -1 for joint in found.joints)
-    return to_smpl(motion, SkeletonMap(joints, found.how, found.convention))
+    joints = tuple(index[joint] if joint >= 0 else -1 for joint in bones.joints)
+    return to_smpl(motion, SkeletonMap(joints, bones.how, bones.convention))
 
 
 _J = {name: index for index, name in enumerate(JOINT_NAMES)}
@@ -247,9 +247,9 @@ def mmd_motion(target: Character | MmdModel, motion: SkeletalMotion) -> MmdClip:
     model = model_of(target)
     if motion.skeleton.names != JOINT_NAMES:
         raise MotionError("MMD models take motions of SMPL's 22 joints; use bunraku.anatomy.names.to_smpl first")
-    found = standard_bones(model)
+    mapped = standard_bones(model)
     motion = resample_motion(motion, VMD_FPS)
-    wanted, centre = _wanted(model, found, motion)
+    wanted, centre = _wanted(model, mapped, motion)
     parents, rest = model.parents, model.positions
     joint_rotations = np.tile(np.eye(3), (len(motion), len(parents), 1, 1))
     positions = np.broadcast_to(rest, (len(motion), *rest.shape)).copy()
@@ -266,8 +266,8 @@ def mmd_motion(target: Character | MmdModel, motion: SkeletalMotion) -> MmdClip:
             positions[:, bone] = positions[:, parent] + np.einsum(
                 "nij,j->ni", joint_rotations[:, parent], rest[bone] - rest[parent]
             )
-    hips = [found.of("left_hip"), found.of("right_hip")]
-    shift = _hips(model, found, motion) - positions[:, hips].mean(axis=1)
+    hips = [mapped.of("left_hip"), mapped.of("right_hip")]
+    shift = _hips(model, mapped, motion) - positions[:, hips].mean(axis=1)
     still = np.zeros_like(shift)
     bones = {model.names[bone]: (shift if bone == centre else still, rotations) for bone, rotations in local.items()}
     return MmdClip(bones, model.name, _leg_goals(model))
@@ -289,16 +289,18 @@ def _hips(model: MmdModel, found: SkeletonMap, motion: SkeletalMotion) -> np.nda
     """
     hips = motion.world()[1][:, [_J["left_hip"], _J["right_hip"]]].mean(axis=1).astype(float)
     rest = motion.skeleton.positions.astype(float)
-    own, known = model.positions, reference_body().joints
+    points, reference = model.positions, reference_body().joints
     joints = [found.of(name) for name in _LEGS]
     sides = joints[0::2], joints[1::2]
-    length = float(np.mean([np.linalg.norm(own[a] - own[b]) + np.linalg.norm(own[b] - own[c]) for a, b, c in sides]))
+    length = float(
+        np.mean([np.linalg.norm(points[a] - points[b]) + np.linalg.norm(points[b] - points[c]) for a, b, c in sides])
+    )
     source = leg_length(rest)
     feet = [_J["left_foot"], _J["right_foot"]]
-    toes = known[feet, 1].mean() * source / leg_length(known)
+    toes = reference[feet, 1].mean() * source / leg_length(reference)
     low = toes - motion.skeleton.offsets[feet, 1].mean()  # of the source's ankles above its floor
     ratio = length / max(source, 1e-9)
-    return np.asarray(hips * ratio + [0, own[joints[4:6], 1].mean() - low * ratio, 0])
+    return np.asarray(hips * ratio + [0, points[joints[4:6], 1].mean() - low * ratio, 0])
 
 
 def mmd_clip(animation: RigAnimation) -> MmdClip:
@@ -363,7 +365,7 @@ def _resampled(animation: RigAnimation) -> tuple[np.ndarray, np.ndarray]:
 
 def _leg_goals(model: MmdModel) -> tuple[str, ...]:
     """Bones whose inverse kinematics move legs or feet; all that have some where the names do not say what legs are."""
-    found = mmd_skeleton_map(model.names)
+    bones = mmd_skeleton_map(model.names)
     goals = [(bone.name, {link.bone for link in bone.ik.links}) for bone in model.bones if bone.ik is not None]
-    legs = None if found is None else {found.of(name) for name in _LEGS}
+    legs = None if bones is None else {bones.of(name) for name in _LEGS}
     return tuple(name for name, links in goals if legs is None or legs & links)

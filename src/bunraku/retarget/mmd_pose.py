@@ -22,7 +22,7 @@ MOST_IN_ALL = 1_000_000_000  # bones placed in all frames: minutes
 
 
 def check_work(model: MmdModel, frames: int) -> None:
-    """Raise MotionError if so many frames of a model are too much work."""
+    """Raise MotionError if this many frames of a model are too much work."""
     work = pose_work(model)
     if work > MOST or work * frames > MOST_IN_ALL:
         raise MotionError(
@@ -111,14 +111,14 @@ def pose_mmd(
     check_work(model, count)
     bones = len(model.bones)
     rotations, positions = np.empty((count, bones, 3, 3), np.float32), np.empty((count, bones, 3), np.float32)
-    known = {name: index for index, name in reversed(list(enumerate(model.names)))}
+    numbers = {name: index for index, name in reversed(list(enumerate(model.names)))}
     for start in range(0, count, CHUNK):
         stop = min(start + CHUNK, count)
         state = _State(model, stop - start)
         for name, (moved, turned) in tracks.items():
-            if name in known:
-                state.keyed_moves[:, known[name]] = moved[start:stop]
-                state.keyed_rotations[:, known[name]] = turned[start:stop]
+            if name in numbers:
+                state.keyed_moves[:, numbers[name]] = moved[start:stop]
+                state.keyed_rotations[:, numbers[name]] = turned[start:stop]
         switches = {name: np.asarray(on)[start:stop] for name, on in (ik or {}).items()}
         state.solve(switches)
         rotations[start:stop], positions[start:stop] = state.rotations, state.positions

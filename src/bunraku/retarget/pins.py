@@ -73,11 +73,11 @@ class Pin(Constraint):
         if len(self.position) != 3 or not all(math.isfinite(number) for number in numbers):
             raise OptionError(f"the pin of {self.part} needs a time and three coordinates that are numbers")
         if self.time < 0 or self.hold < 0:
-            raise OptionError(f"the pin of {self.part} cannot be before the start, nor be held for less than no time")
+            raise OptionError(f"the pin of {self.part} cannot be before the start, nor be held for a negative time")
         if self.rotation is not None:
             turn = np.asarray(self.rotation, np.float64)
             if turn.shape != (3, 3) or not np.allclose(turn @ turn.T, np.eye(3), atol=1e-3) or np.linalg.det(turn) < 0:
-                raise OptionError(f"the rotation of {self.part} must be a matrix of three rows that only turns")
+                raise OptionError(f"the rotation of {self.part} must be a rotation matrix of three rows")
             object.__setattr__(self, "rotation", turn)
 
     def frames(self, count: int, fps: float) -> np.ndarray:
@@ -143,17 +143,17 @@ def meet_pins(motion: HandleMotion, anatomy: Anatomy, pins: Sequence[Pin]) -> Ha
     if not pins:
         return motion
     ends, character, handles, joints = limb_ends(anatomy), anatomy.mesh, anatomy.handles, anatomy.joints
-    known = {end.part: number for number, end in enumerate(ends)}
+    end_numbers = {end.part: number for number, end in enumerate(ends)}
     for pin in pins:
-        if pin.part not in known:
-            there = ", ".join(known) or "none"
+        if pin.part not in end_numbers:
+            there = ", ".join(end_numbers) or "none"
             raise OptionError(
                 f"{character.name} has no {pin.part.replace('_', ' ')} to pin; of its limbs there are {there}"
             )
     given, reach = motion, np.zeros(len(motion), bool)
     goals = np.full((len(motion), len(ends), 3), np.nan)
     for pin in pins:
-        goals[pin.frames(len(motion), motion.fps), known[pin.part]] = pin.position
+        goals[pin.frames(len(motion), motion.fps), end_numbers[pin.part]] = pin.position
     pinned = ~np.isnan(goals[..., 0])
     limbs, height = [end.limb for end in ends], character.height
     feet = [number for number, end in enumerate(ends) if end.part.endswith("foot")]
@@ -212,13 +212,13 @@ def _turned(
         return motion
     world = motion.transforms(handles.positions).astype(np.float64)
     for end in ends:
-        own = [pin for pin in pins if pin.part == end.part]
-        if not own:
+        part_pins = [pin for pin in pins if pin.part == end.part]
+        if not part_pins:
             continue
         if not end.limb.foot:
-            raise OptionError(f"the {end.part.replace('_', ' ')} of this character has no handle to turn it by")
+            raise OptionError(f"the {end.part.replace('_', ' ')} of this character has no handle that could rotate it")
         turns, pinned = np.zeros((len(motion), 3)), np.zeros(len(motion), bool)
-        for pin in own:
+        for pin in part_pins:
             frames = pin.frames(len(motion), motion.fps)
             back = np.swapaxes(world[frames, end.handle, :, :3], -1, -2)
             turns[frames] = axis_angle_from_matrix(np.asarray(pin.rotation) @ back)

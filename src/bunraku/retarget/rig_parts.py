@@ -215,8 +215,8 @@ class RigParts:
                 positions[:, bone] = positions[:, parent] + away
                 rotations[:, bone] = rotations[:, parent] if part == NO_HANDLE else transforms[:, part, :, :3]
             else:
-                own = transforms[:, max(part, 0)]
-                rotations[:, bone], positions[:, bone] = own[..., :3], own[..., :3] @ rest[bone] + own[..., 3]
+                move = transforms[:, max(part, 0)]
+                rotations[:, bone], positions[:, bone] = move[..., :3], move[..., :3] @ rest[bone] + move[..., 3]
         return rotations, positions
 
 
@@ -265,9 +265,9 @@ def understood_rig(character: Character) -> RigParts | None:
     Args:
         character: Facing +Z.
     """
-    for known in (None, _shaped_parts(character)):
+    for shaped in (None, _shaped_parts(character)):
         try:
-            parts = RigParts.of(character, known)
+            parts = RigParts.of(character, shaped)
         except CharacterError:
             continue
         if parts.complete or parts.winged:
@@ -298,11 +298,11 @@ def _shaped_parts(character: Character) -> np.ndarray | None:
     rest = rig.positions[order]
     offsets = rest - np.where(np.array(parents)[:, None] >= 0, rest[parents], 0)
     mass = np.bincount(rig.indices.ravel(), rig.weights.ravel(), minlength=len(rig.names))[order]
-    found = joints_by_structure(Skeleton(tuple(rig.names[bone] for bone in order), np.array(parents), offsets), mass)
+    joints = joints_by_structure(Skeleton(tuple(rig.names[bone] for bone in order), np.array(parents), offsets), mass)
     out = np.full(len(rig.names), NO_HANDLE)
-    for name, joint in found.items():
+    for name, joint in joints.items():
         out[order[joint]] = HANDLE_NAMES.index(name)
-    return out if found else None
+    return out if joints else None
 
 
 def _followed(character: Character) -> np.ndarray:
@@ -364,8 +364,8 @@ def _vrm_parts(character: Character) -> np.ndarray | None:
     for name, node in model.humanoid.items():
         side = next((side for side in ("left", "right") if name.startswith(side)), "")
         part = name.removeprefix(side)
-        known = _VRM.get(part) or ("fingers" if part.startswith(("Thumb", "Index", "Middle", "Ring", "Little")) else "")
-        label = f"{side}_{known}" if side else known
+        word = _VRM.get(part) or ("fingers" if part.startswith(("Thumb", "Index", "Middle", "Ring", "Little")) else "")
+        label = f"{side}_{word}" if side else word
         if label in HANDLE_NAMES and node in bones:
             out[bones[node]] = HANDLE_NAMES.index(label)
     if "upperChest" not in model.humanoid:
@@ -408,10 +408,10 @@ def _joints(
         present[foot] &= share[held == foot].sum() > PRESENT
     above = np.full(HANDLE_COUNT, -1)
     for handle in range(1, HANDLE_COUNT):
-        known = HANDLE_PARENTS[handle]
-        while known > 0 and not present[known]:
-            known = HANDLE_PARENTS[known]
-        above[handle] = known
+        parent = HANDLE_PARENTS[handle]
+        while parent > 0 and not present[parent]:
+            parent = HANDLE_PARENTS[parent]
+        above[handle] = parent
         if not present[handle]:
             continue
         same = (parts == parts[leads[handle]]) & (parents == parents[leads[handle]])
@@ -419,7 +419,7 @@ def _joints(
         bone = int(parents[leads[handle]])
         while bone >= 0 and (parts[bone] in (NO_HANDLE, handle) or not present[parts[bone]]):
             bone = int(parents[bone])
-        above[handle] = parts[bone] if bone >= 0 else known
+        above[handle] = parts[bone] if bone >= 0 else parent
     positions[0] = handles.positions[0]
     for handle in range(1, HANDLE_COUNT):  # rigs with bones of one part in several limbs could go round in a circle
         seen, index = [handle], int(above[handle])
@@ -442,7 +442,7 @@ def _turns(character: Character, handles: Handles, joints: Joints) -> np.ndarray
         for part, end in (("hip", "knee"), ("knee", "ankle")):
             handle, child = HANDLE_NAMES.index(f"{side}_{part}"), HANDLE_NAMES.index(f"{side}_{end}")
             if joints.present[[handle, child]].all():
-                own = above @ (joints.positions[child] - joints.positions[handle])
-                above = rotation_between(own, known[child] - known[handle]) @ above
+                direction = above @ (joints.positions[child] - joints.positions[handle])
+                above = rotation_between(direction, known[child] - known[handle]) @ above
                 out[handle] = above
     return flat_feet(character, handles, out)

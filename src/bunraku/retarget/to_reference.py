@@ -166,10 +166,10 @@ def handle_motion_of_body(motion: SkeletalMotion, body: ReferenceBody | None = N
     The body is set on the ground: the clip is moved along Y so that the lowest point of its standing frames (5 %
     quantile) is at 0, unless that is more than 15 cm away, where the clip means to be off the ground.
     """
-    whole, lowest, _ = registered_body(motion, body)
+    registered, lowest, _ = registered_body(motion, body)
     floor = float(np.quantile(lowest, 0.05))
     drop = np.array([0, floor if abs(floor) < 0.15 else 0, 0], np.float32)
-    return replace(whole, root_translation=whole.root_translation - drop)
+    return replace(registered, root_translation=registered.root_translation - drop)
 
 
 def registered_body(

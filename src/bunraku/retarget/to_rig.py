@@ -100,25 +100,25 @@ def copied_bones(
     """
     if source.rig is None or character.rig is None:
         return None
-    theirs, own = source.rig, character.rig
+    theirs, ours = source.rig, character.rig
     indices = {name: bone for bone, name in enumerate(theirs.names)}
-    partner = np.array([indices.get(name, -1) for name in own.names])
-    used = np.unique(own.indices[own.weights > 0])
+    partner = np.array([indices.get(name, -1) for name in ours.names])
+    used = np.unique(ours.indices[ours.weights > 0])
     needed = set(used.tolist())
     for bone in used.tolist():
-        while own.parents[bone] >= 0 and int(own.parents[bone]) not in needed:
-            bone = int(own.parents[bone])
+        while ours.parents[bone] >= 0 and int(ours.parents[bone]) not in needed:
+            bone = int(ours.parents[bone])
             needed.add(bone)
     ratios, angles = [], []
     for bone in needed:
-        above = int(own.parents[bone])
+        above = int(ours.parents[bone])
         if partner[bone] < 0 or (above >= 0) != (theirs.parents[partner[bone]] >= 0):
             return None
         if above < 0:
             continue
         if partner[above] != theirs.parents[partner[bone]]:
             return None
-        mine = own.positions[bone] - own.positions[above]
+        mine = ours.positions[bone] - ours.positions[above]
         other = theirs.positions[partner[bone]] - theirs.positions[partner[above]]
         lengths = np.linalg.norm(mine), np.linalg.norm(other)
         if min(lengths) > 1e-3 * character.height * min(1.0, source.height / character.height):
@@ -127,8 +127,8 @@ def copied_bones(
     if len(ratios) < 2 or float(np.mean(angles)) > ALIKE or float(np.max(angles)) > MOST:
         return None
     local = RigAnimation.of_world(source, world_rotations, positions, fps)
-    rotations = np.tile(np.eye(3, dtype=np.float32), (len(world_rotations), len(own.names), 1, 1))
-    translations = np.zeros((len(world_rotations), len(own.names), 3), np.float32)
+    rotations = np.tile(np.eye(3, dtype=np.float32), (len(world_rotations), len(ours.names), 1, 1))
+    translations = np.zeros((len(world_rotations), len(ours.names), 3), np.float32)
     there = partner >= 0
     rotations[:, there] = local.rotations[:, partner[there]]
     translations[:, there] = local.translations[:, partner[there]] * float(np.median(ratios))

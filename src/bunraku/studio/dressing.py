@@ -89,7 +89,7 @@ def shown_mask(worn: Path, painted: Path) -> bytes:
         return data
     mask = read_npy(painted, read_bounded(painted))
     if mask.shape != (count,):
-        raise FormatError(painted.name, f"it is no mask of {count:,} vertices; paint it again")
+        raise FormatError(painted.name, f"it is not a mask of {count:,} vertices; paint it again")
     bits = packed_bits(mask > 0.5)
     return data[:start] + bits + data[start + len(bits) :]
 
@@ -125,7 +125,7 @@ def clean_mask(worn: Path, bits: bytes) -> np.ndarray:
     """
     _, count = _head(worn, read_bounded(worn))
     if len(bits) != len(packed_bits(np.zeros(count, bool))):
-        raise OptionError(f"this is no mask of {count:,} vertices; reload the page")
+        raise OptionError(f"this is not a mask of {count:,} vertices; reload the page")
     return np.unpackbits(np.frombuffer(bits, np.uint8), count=count, bitorder="little").astype(bool)
 
 

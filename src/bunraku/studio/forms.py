@@ -48,10 +48,10 @@ def stages_without(names: Sequence[str]) -> Stages | None:
     """The stages of generated motions except those named, None where none is; OptionError for an unknown name."""
     from bunraku.pipelines.apply import GENERATED_STAGES
 
-    known = sorted(field.name for field in fields(GENERATED_STAGES))
+    stages = sorted(field.name for field in fields(GENERATED_STAGES))
     for name in names:
-        if name not in known:
-            raise OptionError(f"there is no stage '{name[:40]}'; there are {', '.join(known)}")
+        if name not in stages:
+            raise OptionError(f"there is no stage '{name[:40]}'; there are {', '.join(stages)}")
     return replace(GENERATED_STAGES, **dict.fromkeys(names, False)) if names else None
 
 
@@ -59,11 +59,11 @@ def read_pins(forms: Sequence[object]) -> list[Pin]:
     """Pins of their JSON forms; OptionError where one is not a pin."""
     from bunraku.retarget.pins import Pin
 
-    found = [Pin.from_json(form) for form in forms]
-    for pin in found:
+    pins = [Pin.from_json(form) for form in forms]
+    for pin in pins:
         TIME.check(pin.time)
         TIME.check(pin.hold, "hold")
-    return found
+    return pins
 
 
 def read_path(points: Sequence[object]) -> GroundPath | None:
@@ -75,10 +75,10 @@ def read_path(points: Sequence[object]) -> GroundPath | None:
     limit = Limit("x and z of a path", -LONGEST, LONGEST)
     positions = []
     for point in points:
-        if not isinstance(point, list) or len(point) != 2 or not all(type(one) in (int, float) for one in point):
+        if not isinstance(point, list) or len(point) != 2 or not all(type(number) in (int, float) for number in point):
             raise OptionError("a path is a list of points, each with x and z")
-        for one in point:
-            limit.check(one)
+        for number in point:
+            limit.check(number)
         positions.append((float(point[0]), float(point[1])))
     return GroundPath(tuple(positions))
 
@@ -224,7 +224,7 @@ class TakeForm(Drawn, DressForm):
             OptionError: It cannot be requested, or a sentence is not understood.
         """
         script = read_script(self.script)
-        found = Request(
+        request = Request(
             sequence_of(script), self.sampling(sum(part.seconds for part in script)),
             Constraints.of(
                 loop=self.loop, in_place=self.in_place, after=self.after or None, path=read_path(self.path or ()),
@@ -234,8 +234,8 @@ class TakeForm(Drawn, DressForm):
             "predict" if self.apparel == "simulate" else handles, self.force,
             self.rig if self.rig == "own" else "auto" if self.apparel in ("simulate", "learn") else "handles",
         )  # fmt: skip
-        found.check()
-        return found.with_parsed()
+        request.check()
+        return request.with_parsed()
 
     def pieces(self, handles: Literal["predict", "rig"] = "predict") -> list[dict[str, Any]]:
         """The JSON forms of clips and of requests of the sentences between them, of a script with clips; OptionError
@@ -243,16 +243,16 @@ class TakeForm(Drawn, DressForm):
         """
         if self.after:
             raise OptionError("a script with clips follows no other take; put its clip or sentence before them")
-        found: list[dict[str, Any]] = []
+        pieces: list[dict[str, Any]] = []
         for played, parts in itertools.groupby(read_script(self.script), lambda part: bool(part.clip)):
             if played:
-                found += [{"clip": part.clip, "seconds": part.seconds} for part in parts]
+                pieces += [{"clip": part.clip, "seconds": part.seconds} for part in parts]
                 continue
             script = tuple(parts)
             bare = replace(self, script=script, loop=False, in_place=False, path=None, pins=(), apparel="rigid")
             seconds = sum(part.seconds for part in script)
-            found.append({"seconds": seconds, "request": bare.request(handles).to_json()})
-        return found
+            pieces.append({"seconds": seconds, "request": bare.request(handles).to_json()})
+        return pieces
 
     def constraints(self) -> Constraints:
         """What a script with clips must meet; alone a clip that loops can be a loop."""
@@ -391,12 +391,12 @@ class ChangeForm(Drawn):
         span = (self.span[0], self.span[1]) if self.span else None
         stays = [Keep(self.keep, span)] if self.keep or span else []
         poses = [Pose(pose.time, pose.take, pose.at) for pose in self.poses]
-        found = Request(
+        request = Request(
             self.prompt.strip(), self.sampling(6.0), Constraints((*stays, *poses, *read_pins(self.pins))), apparel,
             stages_without(self.without), force=self.force,
         )  # fmt: skip
-        found.check(clip=True)
-        return found.with_parsed()
+        request.check(clip=True)
+        return request.with_parsed()
 
     def bends(self) -> Constraints:
         """Its pins, for a take that is bent to them."""

@@ -64,7 +64,7 @@ class Changes:
             if not self._forgotten <= after <= self._count:
                 return {"event": self._count, "missed": True, "changes": []}
             newest = takewhile(lambda change: change[0] > after, reversed(self._latest.values()))
-            changes = [[what, dict(record)] for _, what, record in newest]
+            changes = [[kind, dict(record)] for _, kind, record in newest]
             return {"event": self._count, "missed": False, "changes": changes[::-1]}
 
 

@@ -37,12 +37,12 @@ def open_archive(path: Path, entries: int, size: int) -> Iterator[zipfile.ZipFil
     try:
         _check_directory(path, entries)
         with zipfile.ZipFile(path) as archive:
-            found = archive.infolist()
-            if len(found) > entries or sum(entry.file_size for entry in found) > size:
+            members = archive.infolist()
+            if len(members) > entries or sum(entry.file_size for entry in members) > size:
                 raise FormatError(
                     path.name, f"it unpacks to too much, at most {size >> 20} MiB in {entries:,} files are taken"
                 )
-            if any(one.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for one in found):
+            if any(member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for member in members):
                 raise FormatError(path.name, "it is packed in a rare way; pack it again as an ordinary ZIP")
             yield archive
     except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, ValueError, zlib.error):
@@ -133,22 +133,22 @@ def unpack_project(store: Store, path: Path) -> dict[str, Any]:
     """Add the character and takes of a project to the store: the character's id, and how the page stood; FormatError
     where the file is broken, no project, or too large.
     """
-    made: list[tuple[str, str]] = []
+    written: list[tuple[str, str]] = []
     try:
         with open_archive(path, MOST_ENTRIES, MOST_UNPACKED) as archive:
             about = _read_about(archive)
             version = about["version"]
             if version != VERSION:
                 raise FormatError(path.name, "it was saved by another version of Bunraku; open it with that one")
-            return _added(store, path.name, archive, about, made)
+            return _added(store, path.name, archive, about, written)
     except OptionError as error:
-        _undo(store, made)
+        _undo(store, written)
         raise FormatError(path.name, f"{error}; save the project again") from None
     except (KeyError, TypeError, AttributeError):
-        _undo(store, made)
-        raise FormatError(path.name, "it is no project of Bunraku, or broken; save it again") from None
+        _undo(store, written)
+        raise FormatError(path.name, "it is not a project of Bunraku, or it is broken; save it again") from None
     except BaseException:
-        _undo(store, made)
+        _undo(store, written)
         raise
 
 
@@ -191,8 +191,8 @@ def _added(
         new = store.new("takes", {"error": "", **values, "character": character["id"], "state": "waiting"})
         made.append(("takes", new["id"]))
         names[str(take["was"])] = new["id"]
-        known = f"takes/{take['was']}/{_MAY_HAVE}" in archive.NameToInfo
-        for file in (*_TAKE_FILES, *((_MAY_HAVE,) if known else ())):
+        was_kept = f"takes/{take['was']}/{_MAY_HAVE}" in archive.NameToInfo
+        for file in (*_TAKE_FILES, *((_MAY_HAVE,) if was_kept else ())):
             target = store.folder_of("takes", new["id"]) / file
             copy_entry(archive, archive.getinfo(f"takes/{take['was']}/{file}"), target)
         store.change("takes", new["id"], state="done")

@@ -124,7 +124,7 @@ class _TakeFacts:
         if not isinstance(self.asked, dict | None):
             raise OptionError("what was asked for a take must be an object")
         if self.fps <= 0 or self.seconds < 0 or self.frames < 0:
-            raise OptionError("a take cannot last less than no time")
+            raise OptionError("the length of a take cannot be negative")
 
 
 CHARACTER_FACTS = tuple(field.name for field in fields(_CharacterFacts))
@@ -163,9 +163,9 @@ def read_record(kind: str, path: Path) -> tuple[Record | None, str]:
         return None, f"the record has no usable '{(wrong or ['created'])[0]}'"
     if kind not in _FACTS:
         return record, ""
-    known = TAKE_FACTS if kind == "takes" else CHARACTER_FACTS
+    facts = TAKE_FACTS if kind == "takes" else CHARACTER_FACTS
     try:
-        check_facts(kind, {name: record[name] for name in known if name in record})
+        check_facts(kind, {name: record[name] for name in facts if name in record})
     except OptionError as error:
         needed = ("name", "file", "settings", "created")
         try:
@@ -252,11 +252,11 @@ def checked_view(view: object) -> dict[str, Any]:
 
 def read_view(view: object) -> dict[str, Any]:
     """What can be shown of a view that this version or another kept."""
-    known: Sequence[str] = [field.name for field in fields(View)]
-    found = {name: view[name] for name in known if name in view} if isinstance(view, dict) else {}
-    for name in list(found):
+    names: Sequence[str] = [field.name for field in fields(View)]
+    settings = {name: view[name] for name in names if name in view} if isinstance(view, dict) else {}
+    for name in list(settings):
         try:
-            from_json(View, {name: found[name]})
+            from_json(View, {name: settings[name]})
         except OptionError:
-            del found[name]
-    return found
+            del settings[name]
+    return settings

@@ -69,20 +69,20 @@ class State:
         """Records of takes to be made; OptionError for too many, FormatError where they cannot be written down."""
         if len(self.store.all("takes")) + count > MOST_TAKES:
             raise OptionError(f"there are {MOST_TAKES:,} takes; delete some that are not needed")
-        made: list[dict[str, Any]] = []
+        takes: list[dict[str, Any]] = []
         seeds = about.get("seeds")
         try:
             for number in range(count):
                 seed = seeds[number] if isinstance(seeds, list) else 0
                 fresh = {"character": character, "state": "waiting", "star": False, "error": ""}
-                made.append(self.store.new("takes", {**fresh, **about, "seed": seed}))
+                takes.append(self.store.new("takes", {**fresh, **about, "seed": seed}))
         except Exception:
-            for take in made:
+            for take in takes:
                 self.store.drop("takes", take["id"])
             raise
-        for take in made:
+        for take in takes:
             self.jobs.changes.tell("take", take)
-        return made
+        return takes
 
     def make(self, kind: str, title: str, character: str, takes: list[str], params: Mapping[str, object]) -> Any:
         """Queue the job that makes takes; they vanish where it cannot be queued."""
@@ -153,16 +153,16 @@ class State:
             params: What the task takes besides the file.
             **about: Which things the job is about.
         """
-        made = self.new_export(file, title)
+        export = self.new_export(file, title)
         try:
             job = self.jobs.submit(
-                kind, f"write {title}", {**params, "export": made["id"], "file": file},
-                cast(About, {**about, "export": made["id"]}),
+                kind, f"write {title}", {**params, "export": export["id"], "file": file},
+                cast(About, {**about, "export": export["id"]}),
             )  # fmt: skip
         except BaseException:
-            self.store.drop("exports", made["id"])
+            self.store.drop("exports", export["id"])
             raise
-        return {"job": job["id"], "export": made["id"], "title": title}
+        return {"job": job["id"], "export": export["id"], "title": title}
 
     def revive(self, about: About) -> None:
         """Mark what a job is about as waiting again."""
@@ -187,8 +187,8 @@ class State:
                         (self.store.folder_of("takes", name) / "draft.bin").unlink(missing_ok=True)
             return
         if "opens" in about:
-            found = {**said, "state": "ready", "error": ""}
-            values = found if state == "done" else {"state": state, "error": said.get("error", "")}
+            facts = {**said, "state": "ready", "error": ""}
+            values = facts if state == "done" else {"state": state, "error": said.get("error", "")}
             version = int(self.store.get("characters", about["opens"]).get("version", 0)) + 1
             self.note("characters", about["opens"], version=version, **values)
             if state == "done":

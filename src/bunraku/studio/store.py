@@ -74,8 +74,8 @@ class Store:
             home = self.folder / kind
             with suppress(OSError):
                 home.mkdir(exist_ok=True)
-            for one in sorted(home.iterdir()) if home.is_dir() else ():
-                self._find(kind, one)
+            for entry in sorted(home.iterdir()) if home.is_dir() else ():
+                self._find(kind, entry)
         self._tell_aside()
 
     def _probe(self) -> None:
@@ -202,14 +202,14 @@ class Store:
 
     def _give_up(self, kind: str, name: str, gone: bool) -> None:
         names = (RECORD, GIVEN_UP) if gone else (GIVEN_UP, RECORD)
-        old, new = (self.folder / kind / name / one for one in names)
+        old, new = (self.folder / kind / name / name_of_folder for name_of_folder in names)
         with writing(old):
             os.rename(old, new)
 
     def all(self, kind: str) -> list[Record]:
         """All records of a kind that are not given up, oldest first."""
-        found = [record for record in list(self._records[kind].values()) if not record.get("deleted")]
-        return sorted(found, key=lambda record: float(record.get("created", 0)))
+        records = [record for record in list(self._records[kind].values()) if not record.get("deleted")]
+        return sorted(records, key=lambda record: float(record.get("created", 0)))
 
     def drop(self, kind: str, name: str) -> None:
         """Remove a thing with its files."""
@@ -218,15 +218,15 @@ class Store:
 
     def make_room(self) -> bool:
         """Remove what is given up, and copies that were written; whether there was any."""
-        found = [
+        finished = [
             (kind, name)
             for kind in KINDS
             for name, record in list(self._records[kind].items())
             if record.get("deleted") or (kind == "exports" and record.get("state") == "done")
         ]
-        for kind, name in found:
+        for kind, name in finished:
             self.drop(kind, name)
-        return bool(found)
+        return bool(finished)
 
     def folder_of(self, kind: str, name: str) -> Path:
         """The folder of a thing; NotThere where there is no such thing."""

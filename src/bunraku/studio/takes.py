@@ -82,8 +82,8 @@ class Known(Predictor):
     handles: Handles | None = None
 
     def feature(self, character: Character) -> np.ndarray:
-        found = None if self.handles is None else self.handles.features
-        return super().feature(character) if found is None else found
+        features = None if self.handles is None else self.handles.features
+        return super().feature(character) if features is None else features
 
 
 @dataclass(frozen=True)
@@ -125,16 +125,16 @@ class Animate:
 
         requests = [request.with_seed(seed) for seed in self.seeds]
         bodies = Animator(Known(handles=handles), progress=whole).moved(moved, requests)
-        for name, made in zip(self.takes, bodies, strict=True):
-            finish_takes({name: dress_take(made, request.apparel, whole)}, self.character, workspace, partly)
+        for name, motion in zip(self.takes, bodies, strict=True):
+            finish_takes({name: dress_take(motion, request.apparel, whole)}, self.character, workspace, partly)
         return {"takes": list(self.takes)}
 
 
 def _followed(workspace: Workspace, request: Request, owner: str) -> Request:
     """The request with the take opened that it follows."""
-    for one in request.constraints:
-        if isinstance(one, Follow) and isinstance(one.clip, str):
-            before = body_of(workspace.take(one.clip, owner))
+    for constraint in request.constraints:
+        if isinstance(constraint, Follow) and isinstance(constraint.clip, str):
+            before = body_of(workspace.take(constraint.clip, owner))
             return replace(request, constraints=request.constraints.following(before))
     return request
 
@@ -162,8 +162,8 @@ class Edit:
             def ahead(stage: str, done: float, number: int = number) -> None:
                 report(stage, (number + 0.9 * done) / len(self.takes))
 
-            made = edited(Animator.shipped(ahead), clip, request.with_seed(seed))
-            finish_takes({name: dress_take(made, request.apparel, report)}, self.character, workspace, partly)
+            edited_motion = edited(Animator.shipped(ahead), clip, request.with_seed(seed))
+            finish_takes({name: dress_take(edited_motion, request.apparel, report)}, self.character, workspace, partly)
         return {"takes": list(self.takes)}
 
 
@@ -277,8 +277,8 @@ class Transfer(DressForm):
         check_fits(apparel, character, 0)
         take = None
         if apparel.moves or self.onto == "auto":
-            own = apparel if apparel.motion == "simulate" else Apparel()
-            take = transferred(animator, character, source, TransferRequest(apparel=own))
+            simulated = apparel if apparel.motion == "simulate" else Apparel()
+            take = transferred(animator, character, source, TransferRequest(apparel=simulated))
         if not isinstance(take, RigAnimation):  # on the handles that the studio shows
             take = transferred(animator, character, source, TransferRequest("handles", handles=handles))
         assert isinstance(take, Animation | RigAnimation)
@@ -341,9 +341,9 @@ class Play(DressForm):
                 if features is not None:
                     before = apply_motion(decode(features), anatomy, stages=DRAFT_STAGES)
                     request = replace(request, constraints=request.constraints.following(before))
-                (made,) = animator.moved(body, [request])
-                assert isinstance(made, Animation)  # its handles are given
-                own = encode(reference_of(made, anatomy))
+                (moved,) = animator.moved(body, [request])
+                assert isinstance(moved, Animation)  # its handles are given
+                own = encode(reference_of(moved, anatomy))
             features = own if features is None else _joined(features, own)
         assert features is not None  # a script has a part
         return decode(features)
@@ -374,8 +374,8 @@ class Preview:
                 continue
             clip = find_clip(name)
             motion = decode(features_of(clip.stretch, clip.seconds if clip.loops else None, clip.loops))
-            made = apply_motion(motion, anatomy, Constraints.of(loop=clip.loops), DRAFT_STAGES)
+            fitted = apply_motion(motion, anatomy, Constraints.of(loop=clip.loops), DRAFT_STAGES)
             folder.mkdir(exist_ok=True)
             with atomic_write(path) as file:
-                file.write(packed_clip(replace(made, motion=resample(made.motion, PREVIEW_FPS))))
+                file.write(packed_clip(replace(fitted, motion=resample(fitted.motion, PREVIEW_FPS))))
         return {"clips": list(self.clips)}

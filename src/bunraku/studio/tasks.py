@@ -56,8 +56,8 @@ class Open:
         handles = rig(character, handles=self.settings.handles)
         report("write", 0.8)
         save_character(character, folder / "mesh.glb", handles)
-        for made in ("bones.glb", CHAINED):
-            (folder / made).unlink(missing_ok=True)
+        for file_name in ("bones.glb", CHAINED):
+            (folder / file_name).unlink(missing_ok=True)
         shutil.rmtree(folder / PREVIEWS, ignore_errors=True)
         save_handles(handles, folder / "handles.npz")
         return {**taken, **character_facts(character, handles), "clips": _clips_of(character), "chains": []}
@@ -89,14 +89,14 @@ class LayChains:
 
         report("look", 0.1)
         body = workspace.body(self.character)
-        made, why = chains_of(body.anatomy)
-        if made is None:
+        chains, why = chains_of(body.anatomy)
+        if chains is None:
             reason = why.removeprefix(f"{body.character.name}: ").partition(";")[0]
             return {"chains": [], "unchained": f"{reason}; paint what is hair and clothes"}
         report("springs", 0.4)
         path = workspace.folder_of("characters", self.character) / CHAINED
-        save_character(made.character, path, rig=True, avatar=vrm_avatar(made))
-        return {"chains": chain_facts(made), "unchained": ""}
+        save_character(chains.character, path, rig=True, avatar=vrm_avatar(chains))
+        return {"chains": chain_facts(chains), "unchained": ""}
 
 
 def _clips_of(character: Character) -> list[str]:
@@ -158,13 +158,13 @@ class ExportClips:
         character: Character | None = None
         for number, (take, name) in enumerate(zip(self.takes, self.names, strict=True)):
             report("read", number / len(self.takes))
-            found = workspace.take(take, self.character)
-            if isinstance(found, Dressed):
+            take_record = workspace.take(take, self.character)
+            if isinstance(take_record, Dressed):
                 raise OptionError(
-                    "apparel that moves on its own has no place among several clips; download those alone"
+                    "apparel that moves on its own does not fit among several clips; download such takes alone"
                 )
-            character = character or found.character
-            clips[name] = replace(found, character=character)  # each was read with a copy of it
+            character = character or take_record.character
+            clips[name] = replace(take_record, character=character)  # each was read with a copy of it
         if self.preset:
             clips = _named(clips, workspace, self.character, preset_named(self.preset).skeleton)
         if not self.preset:

@@ -40,8 +40,6 @@ __all__ = [
 
 APPAREL = "apparel.npz"
 """The file beside a take's motion that says where apparel is that moves on its own."""
-NOTHING = 1e-5
-"""Share of the height by which a vertex that chains do not move may differ."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +67,7 @@ class Dressed:
         moved = body.at(bones.fps)
         skinned = moved.animation() if isinstance(moved, RigAnimation) else moved
         offsets = bones.vertices() - skinned.vertices()
-        offsets[:, np.abs(offsets).max(axis=(0, 2)) < NOTHING * body.character.height] = 0
+        offsets[:, np.abs(offsets).max(axis=(0, 2)) < 1e-5 * body.character.height] = 0
         return cls(body, PointAnimation(skinned, offsets.astype(np.float32)), stiffness, gravity, bones)
 
     @property
@@ -185,8 +183,8 @@ def load_take(path: Path, character: Character, handles: Handles) -> Take:
     with open_npz(beside, data) as archive:
         if not {"vertices", "offsets", "stiffness"} <= npz_names(archive):
             raise FormatError(beside, "it holds no apparel; make the take again")
-        found = {name: read_member(beside, archive, name, len(data)) for name in sorted(npz_names(archive))}
-    moving, offsets, stiffness = (found[name] for name in ("vertices", "offsets", "stiffness"))
+        arrays = {name: read_member(beside, archive, name, len(data)) for name in sorted(npz_names(archive))}
+    moving, offsets, stiffness = (arrays[name] for name in ("vertices", "offsets", "stiffness"))
     moved = body.at(RATE)
     skinned = moved.animation() if isinstance(moved, RigAnimation) else moved
     shape = len(skinned.motion), len(moving), 3
@@ -194,8 +192,8 @@ def load_take(path: Path, character: Character, handles: Handles) -> Take:
         raise FormatError(beside, "its apparel is of another mesh or clip; make the take again")
     everywhere = np.zeros((len(offsets), len(character.vertices), 3), np.float32)
     everywhere[:, moving.astype(np.int64)] = offsets
-    bones = _bones_of(found, beside, skinned) if "rig_names" in found else None
-    gravity = float(found.get("gravity", 1.0))
+    bones = _bones_of(arrays, beside, skinned) if "rig_names" in arrays else None
+    gravity = float(arrays.get("gravity", 1.0))
     return Dressed(body, PointAnimation(skinned, everywhere), float(stiffness), gravity, bones)
 
 
@@ -260,14 +258,14 @@ def load_handles(path: Path) -> Handles:
     data = read_bounded(path)
     with open_npz(path, data) as archive:
         names = npz_names(archive)
-        found = {name: read_member(path, archive, name, len(data)) for name in sorted(names)}
-    if not {"positions", "weights", "roles"} <= set(found):
+        arrays = {name: read_member(path, archive, name, len(data)) for name in sorted(names)}
+    if not {"positions", "weights", "roles"} <= set(arrays):
         raise FormatError(path, "it holds no handles; open the character again")
-    roles = found["roles"].astype(np.int64)
+    roles = arrays["roles"].astype(np.int64)
     return Handles(
-        found["positions"],
-        found["weights"],
-        found.get("features"),
+        arrays["positions"],
+        arrays["weights"],
+        arrays.get("features"),
         None if np.array_equal(roles, np.arange(len(roles))) else roles,
-        "rigid" in found,
+        "rigid" in arrays,
     )

@@ -67,13 +67,13 @@ def opened_character(path: Path, settings: Settings) -> tuple[Character, dict[st
             f"{path.name}: {len(character.vertices):,} vertices are more than the studio shows ({MAX_VERTICES:,}); "
             "simplify the mesh, or use the command line"
         )
-    found = resolve_axes(character, settings.up, settings.front)
-    standing = rotated(character, found.up, found.front)
+    orientation = resolve_axes(character, settings.up, settings.front)
+    standing = rotated(character, orientation.up, orientation.front)
     suffix = str(getattr(standing.source, "suffix", ""))
     unit = resolve_unit(standing.height, suffix, settings.unit)
     character, _ = in_metres(standing, settings.unit, "+y")
-    other = None if found.other is None else list(found.other)
-    axes = {"up": found.up, "front": found.front, "sure": round(found.sure, 3), "other": other}
+    other = None if orientation.other is None else list(orientation.other)
+    axes = {"up": orientation.up, "front": orientation.front, "sure": round(orientation.sure, 3), "other": other}
     return character, {"axes": axes, "unit": {"unit": unit.unit, "likely": unit.likely, "note": unit.note}}
 
 

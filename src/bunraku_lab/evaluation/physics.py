@@ -28,6 +28,7 @@ from bunraku_lab.datasets.apparel.plan import CharacterSource
 from bunraku_lab.evaluation.report import Bar, measured_in, percent, reached_bars
 from bunraku_lab.synthetic.stock_motions import STOCK_MOTIONS, stock_motion
 
+# By definition of the measures.
 _FREE = 1e-3  # a joint that lets its bodies come apart by more [m] is no link of a chain
 _SHORT = 5e-3  # chains under this have no length to speak of [m]
 
@@ -192,7 +193,7 @@ def sample_apparel(apparel: np.ndarray, most: int = _MOST_POINTS) -> np.ndarray:
 FPS = 30.0
 REST = 3.0  # seconds after which bodies should be at rest
 STRIDE = 6  # frames from one whose penetration is measured to the next
-BLEND = 0.7  # seconds from the end of a motion into the start of the next
+BLEND = 0.7  # seconds from the end of a motion into the start of the next, by definition of the measure
 Progress = Callable[[str, float], None]
 _Source = tuple[str, Callable[[], Character]]
 
@@ -310,7 +311,9 @@ def measure_physics(
     progress = progress or (lambda done: None)
     rig, mask = apparel_rig(character), apparel_mask(character)
     if rig is None or mask is None or not mask.any():
-        raise CharacterError(f"{character.name}: its file says nothing of apparel that physics move")
+        raise CharacterError(
+            f"{character.name}: its file has no apparel that physics move; choose another way with --apparel"
+        )
     body = UnifiedBody.of(character)
     names, parts = _parts(body, motions, seconds)
     progress(0.1)

@@ -126,7 +126,8 @@ BEGIN = (3.0, -0.8, -1.6, -0.2, 0.0, 0.0, 0.0)
 """What the decoder says before it has learned: fitted to be about the best linear prediction of the wardrobe's apparel.
 """
 SPREADS = (0.02, 0.005, 0.003, 0.02, 0.03, 0.006, 0.005, 0.01)
-"""What the encoder divides by: difference, velocity, acceleration, inertia, lag, own change, head's change, speed."""
+"""What the encoder divides by: difference, velocity, acceleration, inertia, lag, own change, head's change, speed; the
+shipped network was trained so."""
 
 
 @dataclass

@@ -83,6 +83,7 @@ class IdleBounds:
 
 
 IDLE_BOUNDS = IdleBounds()
+# The shipped examples were packed with these.
 BUSY_BOUNDS = IdleBounds(busy=True, sinks=0.1, shifts=0.3, swings=0.2)
 
 
@@ -139,7 +140,7 @@ _MARGIN = 8
 _OF_ONE_CLIP = 3
 _BUSY_OF_ONE = 2
 HOVERS = 0.05
-"""Height [m] over the ground from which on nothing touches it."""
+"""Height [m] over the ground from which on nothing touches it, as the shipped examples were packed."""
 _GOES = {"walk", "run", "backward", "sidestep", "turn", "turn around", "circle"}
 _BUSY = re.compile(
     r"\b(arms?|hands?|balls?|pass(es|ing)?|strokes?|swings?|throws?|fight\w*|karate|push\w*|shov\w*)\b", re.I

@@ -14,11 +14,13 @@ import torch
 from scipy.sparse import csr_matrix
 
 from bunraku.anatomy.handles.networks import PredictorConfig
+from bunraku.anatomy.joints import PRESENT
 from bunraku.core.body.layout import HANDLE_MIRROR, HANDLE_NAMES
 from bunraku.core.body.reference import handle_positions
 from bunraku.core.files import atomic_write
 from bunraku.errors import OptionError
 from bunraku_lab.datasets.characters.training_character import (
+    UPRIGHT,
     AugmentConfig,
     TrainingCharacter,
     TrainingMesh,
@@ -166,8 +168,6 @@ def augment_mesh(mesh: TrainingMesh, rng: np.random.Generator, config: MeshAugme
 _LIMBS = [
     HANDLE_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("shoulder", "elbow", "hip", "knee")
 ]
-LEAST = 2e-3  # share of the surface under which a part counts as absent
-UPRIGHT = 0.7  # least share of the way from the pelvis to the head that leads up
 
 
 def has_human_shape(character: TrainingCharacter) -> bool:
@@ -175,11 +175,11 @@ def has_human_shape(character: TrainingCharacter) -> bool:
     mass = character.target * (character.areas / character.areas.sum())[:, None]
     share = mass.sum(axis=0)
     head = HANDLE_NAMES.index("head")
-    if (share[[*_LIMBS, head]] < LEAST).any():
+    if (share[[*_LIMBS, head]] < PRESENT).any():
         return False
     positions = handle_positions(character.vertices, character.target, character.areas)
     hips = positions[[HANDLE_NAMES.index("left_hip"), HANDLE_NAMES.index("right_hip")]].mean(axis=0)
-    spine = positions[head] - (positions[0] if share[0] >= LEAST else hips)
+    spine = positions[head] - (positions[0] if share[0] >= PRESENT else hips)
     return bool(spine[1] > UPRIGHT * np.linalg.norm(spine))
 
 

@@ -126,7 +126,7 @@ def read_pairs(folder: Path, splits: Iterable[str] = ("train",)) -> list[Pair]:
         splits: Of "train", "val" and "held".
 
     Raises:
-        FormatError: A file is missing, or a line of it is no pair.
+        FormatError: A file is missing, or a line of it is not a pair.
     """
     wanted, found = frozenset(splits), []
     known: dict[str, tuple[str, ...]] = {}
@@ -140,7 +140,7 @@ def read_pairs(folder: Path, splits: Iterable[str] = ("train",)) -> list[Pair]:
         for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
             parts = line.split("\t")
             if len(parts) < 2:
-                raise FormatError(path, f"line {number} is no pair; it must be English, a tab, the other language")
+                raise FormatError(path, f"line {number} is not a pair; it must be English, a tab, the other language")
             english, other = parts[0].strip(), narrow(parts[1].strip())
             if not english or not other or split_of(english) not in wanted or (english, other) in seen:
                 continue
@@ -154,7 +154,8 @@ def read_pairs(folder: Path, splits: Iterable[str] = ("train",)) -> list[Pair]:
 
 
 MEANT, NOT_MEANT = 0.36, 0.28
-"""Cosines from which a movement is meant, and under which it is not; what lies between teaches nothing."""
+"""Cosines from which a movement is meant, and under which it is not; what lies between teaches nothing. The
+shipped tagger was trained so."""
 _CAPTIONS = 6
 """Captions of a movement, the shortest."""
 _LEAST = 3

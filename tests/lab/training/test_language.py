@@ -49,7 +49,7 @@ def test_what_is_held_out_is_drawn_by_the_english_sentence(folder):
 
 def test_a_missing_file_and_a_line_that_is_no_pair_are_refused(folder):
     (folder / "jpn.txt").write_text("no tab", encoding="utf-8")
-    with pytest.raises(FormatError, match=r"jpn\.txt: line 1 is no pair"):
+    with pytest.raises(FormatError, match=r"jpn\.txt: line 1 is not a pair"):
         read_pairs(folder)
     (folder / "deu.txt").unlink()
     with pytest.raises(FormatError, match=r"deu\.txt.*missing"):

@@ -35,9 +35,9 @@ __all__ = [
 # Chosen by eye on the figures of benchmarks/rigid_blocks.md; CUT was measured on figures cut from one surface, which
 # have .27 to .87.
 LEAST, MOST = 3, 100  # blocks of a figure
-WHOLE = 0.999  # share of a vertex that is of one joint
-COAT, PEER = 0.5, 0.25  # share of a block's box within another's, and of the other's, of what are coats of one part
-CUT = 0.1  # share of the rims' edges that two blocks have in common, from which on they are cuts through one surface
+WHOLE = 0.999  # weight with which a vertex belongs to one joint
+COAT, PEER = 0.5, 0.25  # overlap of the boxes of two coats of one part, over either box
+CUT = 0.1  # share of common rim edges from which on two blocks were cut from one surface
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,14 +61,14 @@ def find_blocks(character: Character) -> Blocks | None:
     """The blocks of a character; None where it has too few, or one surface goes over several: also where it was
     cut into several nodes, whose rims then fit together.
     """
-    found = _of_joints(character) if character.rig is not None else _of_nodes(character)
-    if found is None or len(found.names) > MOST:
+    blocks = _of_joints(character) if character.rig is not None else _of_nodes(character)
+    if blocks is None or len(blocks.names) > MOST:
         return None
-    found = _without_coats(character, found)
-    if len(found.names) < LEAST:
+    blocks = _without_coats(character, blocks)
+    if len(blocks.names) < LEAST:
         return None
-    faces = found.label[character.faces]
-    return found if (faces == faces[:, :1]).all() and _fitting(character, faces[:, 0]) < CUT else None
+    faces = blocks.label[character.faces]
+    return blocks if (faces == faces[:, :1]).all() and _fitting(character, faces[:, 0]) < CUT else None
 
 
 def _without_coats(character: Character, blocks: Blocks) -> Blocks:
@@ -181,10 +181,10 @@ def _numbered(
 # Chosen by eye on the figures of benchmarks/rigid_blocks.md.
 SPACING = 0.008  # of the points spread over a block, over the height
 POINTS = (200, 6000)  # of a block, at the least and at the most
-NEAR = 0.02  # points are in contact that are so much farther apart than the nearest, over the height
-REACH = 0.04  # a node stands at a joint that is so near to the boxes of both blocks, over the height
-ALONG = 0.5  # a block that touches another along more of its length lies along it
-ROUND = 1.25  # a block is long whose length is so many times its width
+NEAR = 0.02  # points touch if they are at most this much farther apart than the nearest, over the height
+REACH = 0.04  # a node marks a joint if it is this near to the boxes of both blocks, over the height
+ALONG = 0.5  # share of its length from which on a block that touches another lies along it
+ROUND = 1.25  # length over width from which on a block is long
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,12 +222,12 @@ class BlockShapes:
     @cached_property
     def low(self) -> np.ndarray:
         """Lowest corner of each block's box [m], shape (B, 3)."""
-        return np.array([some.min(axis=0) for some in self.points])
+        return np.array([points.min(axis=0) for points in self.points])
 
     @cached_property
     def high(self) -> np.ndarray:
         """Highest corner of each block's box [m], shape (B, 3)."""
-        return np.array([some.max(axis=0) for some in self.points])
+        return np.array([points.max(axis=0) for points in self.points])
 
     @property
     def centers(self) -> np.ndarray:
@@ -237,11 +237,11 @@ class BlockShapes:
     @cached_property
     def gaps(self) -> np.ndarray:
         """Least distance between points of two blocks over the height, shape (B, B)."""
-        count, trees = len(self.points), [cKDTree(some) for some in self.points]
+        count, trees = len(self.points), [cKDTree(points) for points in self.points]
         out = np.zeros((count, count))
-        for one in range(count):
-            for other in range(one):
-                out[one, other] = out[other, one] = least_distance(trees[one], self.points[other]) / self.height
+        for block in range(count):
+            for other in range(block):
+                out[block, other] = out[other, block] = least_distance(trees[block], self.points[other]) / self.height
         return out
 
     def pivot(self, own: list[int], other: list[int]) -> np.ndarray:
@@ -294,10 +294,10 @@ def away_from(points: np.ndarray, start: np.ndarray) -> np.ndarray:
 
 
 # Chosen by eye on the figures of benchmarks/rigid_blocks.md.
-TOUCH = 0.03  # blocks touch that are no farther apart, over the height
-FLOOR = 0.06  # what ends so near to the lowest point stands on it, over the height
-ASIDE = 0.2  # what is so far from the middle of the trunk is at a side of it, over half of its width
-SHORT = 0.55  # a second piece so short is a hand or a foot, over the length of the first
+TOUCH = 0.03  # largest gap between blocks that touch, over the height
+FLOOR = 0.06  # largest distance to the lowest point of a block that stands on the ground, over the height
+ASIDE = 0.2  # distance from the middle of the trunk from which on a block is at its side, over half its width
+SHORT = 0.55  # a second piece shorter than this is a hand or a foot, over the length of the first
 _H = {name: handle for handle, name in enumerate(HANDLE_NAMES)}
 _LIMBS = ("arm", "leg", "front leg", "wing")
 
@@ -343,7 +343,7 @@ def block_parts(shapes: BlockShapes) -> BlockParts | None:
     _fill_trunk(handles, trunk, shapes, upright=not front)
     for branch in limbs:
         _fill_limb(handles, branch, tree)
-    for block in tree.order:  # what is no part of its own goes along with what it hangs on
+    for block in tree.order:  # what is not a part of its own goes along with what it hangs on
         if handles[block] < 0:
             handles[block] = handles[tree.parents[block]]
     sides = {(branch.limb, branch.side) for branch in limbs if branch.named}
@@ -470,10 +470,10 @@ def _paired(branches: list[_Branch], shapes: BlockShapes) -> list[_Branch] | Non
     four = len(legs[1]) == 2
     for limb in ("arm", "wing", "head", "tail"):
         sides = (1, -1) if limb in _LIMBS else (1, 0, -1)
-        found = [one for one in branches if one.limb == limb and one.side in sides]
+        paired = [one for one in branches if one.limb == limb and one.side in sides]
         if limb == "arm" and four:
             continue
-        groups = [[one for one in found if one.side == side] for side in sides] if limb in _LIMBS else [found]
+        groups = [[one for one in paired if one.side == side] for side in sides] if limb in _LIMBS else [paired]
         out += [max(group, key=size) for group in groups if group]
     arms = sum(branch.limb == "arm" for branch in out)
     return out if four or len(legs[1]) == 1 or arms == 2 else None
@@ -538,16 +538,16 @@ def _chain(branch: _Branch, tree: _Tree) -> list[int]:
         below = [
             block for block in np.flatnonzero(tree.parents == chain[-1]).tolist() if tree.words[block][0] != "carried"
         ]
-        own = [block for block in below if tree.words[block][0] == branch.limb] or below
-        own = [block for block in own if tree.shapes.areas[block] > 0.05 * tree.shapes.areas[chain[0]]]
-        if not own:
+        of_branch = [block for block in below if tree.words[block][0] == branch.limb] or below
+        of_branch = [block for block in of_branch if tree.shapes.areas[block] > 0.05 * tree.shapes.areas[chain[0]]]
+        if not of_branch:
             return chain
-        chain.append(max(own, key=lambda block: float(tree.shapes.areas[tree.below(block)].sum())))
+        chain.append(max(of_branch, key=lambda block: float(tree.shapes.areas[tree.below(block)].sum())))
 
 
-# Chosen by eye on the figures of benchmarks/rigid_blocks.md, and on trousers that are none.
-BENDS = 0.1  # what holds so much of the knees and elbows of either side bends, as a share of its surface
-EVEN = 0.5  # a leg has a little of the knee of the other that it touches: less than so much of what its own has
+# Chosen by eye on the figures of benchmarks/rigid_blocks.md, and on trousers, which are not such figures.
+BENDS = 0.1  # share of a surface that knees and elbows of either side hold, from which on it bends
+EVEN = 0.5  # a leg may hold a little of the other knee that it touches: less than this, over its own
 _OUTER = {
     side: [HANDLE_NAMES.index(f"{side}_{part}") for part in ("knee", "ankle", "foot", "elbow", "wrist", "fingers")]
     for side in ("left", "right")
@@ -569,10 +569,10 @@ def rigid_handles(character: Character, weights: np.ndarray) -> Handles | None:
     parts = block_parts(shapes)
     if parts is None or (not parts.named and _bends(character, blocks, weights)):
         return None
-    whole = np.zeros((len(character.vertices), HANDLE_COUNT), np.float32)
+    full = np.zeros((len(character.vertices), HANDLE_COUNT), np.float32)
     label = np.where(blocks.label >= 0, blocks.label, parts.trunk[0])
-    whole[np.arange(len(label)), parts.handles[label]] = 1
-    return Handles(_positions(shapes, parts), whole, rigid=True)
+    full[np.arange(len(label)), parts.handles[label]] = 1
+    return Handles(_positions(shapes, parts), full, rigid=True)
 
 
 def _bends(character: Character, blocks: Blocks, weights: np.ndarray) -> bool:

@@ -30,14 +30,14 @@ FAMILIES: tuple[tuple[str, ...], ...] = (("hip", "knee", "ankle", "foot"), ("sho
 # Chosen by eye on the characters of the archive.
 SIDES = ("left", "right")
 AREA = 0.15  # least surface of a further limb, over the largest one's
-REACH = 0.45  # how far out a further limb reaches at the least, over the farthest one
+REACH = 0.45  # least reach of a further limb, over the farthest one
 LEAST = 0.008  # least surface of a limb, over the character's; the spikes of a puffer fish are smaller
 SLENDER = 3.0  # least length of a limb over its radius, if it were a cylinder
-OVERLAP = 0.5  # share of the way outwards that two limbs go side by side; a boot and a shin follow one another
+OVERLAP = 0.5  # least common part of two limbs on the way outwards; a boot and a shin follow one another
 APART = 0.15  # least mean distance of two limbs, over the shorter one's length; a sleeve and its arm are nearer
-FREE = 0.35  # least share of the way from the body to its tip on which a limb is on its own; fingers are so for less
+FREE = 0.35  # least share of the way to its tip on which a limb is alone; for fingers it is less
 TOUCH = 0.75  # loose parts nearer than this are one limb, in cells
-GROUND = 0.2  # a limb whose tip is so near to the lowest point, over the height, is a leg
+GROUND = 0.2  # largest distance from the tip of a leg to the lowest point, over the height
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,7 @@ LIMB_HANDLES = [column for side in SIDES for family in FAMILIES for column in li
 
 
 def has_extra_legs(handles: Handles) -> bool:
-    """Whether some handles play parts of further limbs; what stands on a head is no limb. One limb of such a body in
+    """Whether some handles play parts of further limbs; what stands on a head is not a limb. One limb of such a body in
     place of all of them (`anatomy.limbs.LimbView`), which has roles that are all its own, is a part of it.
     """
     played = handles.played
@@ -108,9 +108,9 @@ def find_limbs(
     out = {}
     for family, side in keys:
         columns = limb_handles(side, family)
-        regions = [weights[:, some].sum(axis=1) > 0.5 for some in (columns, columns[1:])]
-        whole, lower = (_limbs(mesh, region, distance, before) if region.any() else ([], []) for region in regions)
-        limbs, stubs = max(whole, lower, key=lambda found: (len(found[0]), len(found[1])))
+        regions = [weights[:, handles].sum(axis=1) > 0.5 for handles in (columns, columns[1:])]
+        upper, lower = (_limbs(mesh, region, distance, before) if region.any() else ([], []) for region in regions)
+        limbs, stubs = max(upper, lower, key=lambda found: (len(found[0]), len(found[1])))
         limbs.sort(key=lambda limb: (stands(mesh, limb), float(mesh.vertices[limb.members, 2].mean())))
         out[family, side] = limbs, stubs
     return out
@@ -125,16 +125,16 @@ def _limbs(
     label = np.where(region, mesh_parts(_joined(mesh, region), len(region)), -1)
     areas = np.bincount(label[region], mesh.areas[region])
     large = np.flatnonzero(areas > max(AREA * areas.max(), LEAST * mesh.areas.sum()))
-    found: list[Limb] = []
+    limbs: list[Limb] = []
     for piece in large[np.argsort(-areas[large], kind="stable")]:
         members = np.flatnonzero(label == piece)
         nearest = int(members[distance[members].argmin()])
         if not _borne(nearest, before, label, set(large.tolist()) - {int(piece)}):
-            found.append(Limb(members, float(distance[nearest]), float(distance[members].max()), float(areas[piece])))
-    farthest = max((limb.end for limb in found), default=0.0)
+            limbs.append(Limb(members, float(distance[nearest]), float(distance[members].max()), float(areas[piece])))
+    farthest = max((limb.end for limb in limbs), default=0.0)
     kept: list[Limb] = []
     stubs: list[Limb] = []
-    for limb in found:
+    for limb in limbs:
         alone = limb.end - limb.start
         if alone < FREE * limb.end or alone**2 < SLENDER * limb.area / (2 * np.pi):
             continue
@@ -147,11 +147,11 @@ def _limbs(
 
 def _joined(mesh: NetworkMesh, region: np.ndarray) -> np.ndarray:
     """Edges within a region, and pairs of its vertices on different loose parts that touch, shape (E, 2)."""
-    own = mesh.edges[mesh.components[mesh.edges[:, 0]] == mesh.components[mesh.edges[:, 1]]]
+    inner = mesh.edges[mesh.components[mesh.edges[:, 0]] == mesh.components[mesh.edges[:, 1]]]
     where = np.flatnonzero(region)
     near = where[cKDTree(mesh.vertices[where]).query_pairs(TOUCH * mesh.cell, output_type="ndarray")]
     near = near[mesh.components[near[:, 0]] != mesh.components[near[:, 1]]]
-    return np.concatenate([own[region[own].all(axis=1)], near])
+    return np.concatenate([inner[region[inner].all(axis=1)], near])
 
 
 def _borne(vertex: int, before: np.ndarray, label: np.ndarray, others: set[int]) -> bool:
@@ -170,7 +170,7 @@ def _parallel(one: Limb, other: Limb) -> bool:
 
 def _apart(mesh: NetworkMesh, one: Limb, other: Limb) -> bool:
     points = [mesh.vertices[limb.members] for limb in (one, other)]
-    gaps = [float(np.average(cKDTree(far).query(own)[0], weights=mesh.areas[limb.members])) for own, far, limb in
+    gaps = [float(np.average(cKDTree(far).query(near)[0], weights=mesh.areas[limb.members])) for near, far, limb in
             ((points[0], points[1], one), (points[1], points[0], other))]  # fmt: skip
     return min(gaps) >= APART * min(one.end - one.start, other.end - other.start)
 
@@ -181,12 +181,11 @@ def stands(mesh: NetworkMesh, limb: Limb) -> bool:
     return bool(heights[limb.members].min() - heights.min() < GROUND * np.ptp(heights))
 
 
+# Chosen by eye on the characters of the archive.
 BLEND = 1.5  # how softly limbs meet, in cells
-SPARE = 2e-3  # share of the surface under which a handle is spare; it would follow its parent
+SPARE = 2e-3  # share of the surface below which a handle is spare: it would follow its parent
 HELD = 3e-3  # share of the surface from which a part of a further limb gets a handle
-# A character whose head is over its hips and so far above its feet, over its extent, is a person; chosen by eye on the
-# archive.
-TALL = 0.55
+TALL = 0.55  # least height of a person's head over the feet, over the extent; the head is also over the hips
 _SPARE_FIRST = (
     "left_wing", "right_wing", "head_top", "face", "left_fingers", "right_fingers", "left_foot", "right_foot",
     "tail_tip", "tail",
@@ -242,16 +241,16 @@ class _Split:
         return [areas @ (self.parts * member[:, None]) for member in self.members.T]
 
     def owners(self, areas: np.ndarray, most: int, mirrored: _Split) -> list[list[int]]:
-        """For each further limb, the part whose new handle each of its parts takes; at most so many handles a limb.
+        """For each further limb, the part whose new handle each of its parts takes; at most this many handles a limb.
 
         Where both sides have as many limbs they are dealt with alike.
         """
         out, masses = [], self.masses(areas)
         if self.members.shape == mirrored.members.shape:
-            masses = [0.5 * (one + other) for one, other in zip(masses, mirrored.masses(areas), strict=True)]
+            masses = [0.5 * (plain + other) for plain, other in zip(masses, mirrored.masses(areas), strict=True)]
         for mass in masses[1:]:
-            own = [number for number in range(len(mass)) if mass[number] >= HELD][:most] or [int(mass.argmax())]
-            out.append([max((some for some in own if some <= number), default=own[0]) for number in range(len(mass))])
+            held = [number for number in range(len(mass)) if mass[number] >= HELD][:most] or [int(mass.argmax())]
+            out.append([max((n for n in held if n <= number), default=held[0]) for number in range(len(mass))])
         return out
 
 
@@ -308,7 +307,7 @@ def split_limbs(mesh: NetworkMesh, weights: np.ndarray) -> tuple[np.ndarray, np.
     fresh = _slots_of(wanted, len(SIDES) * max(before) * len(FAMILIES[0]), spare)
     for (split, limb, part, owner), handle in zip(queries, fresh, strict=True):
         roles[handle] = split.roles(limb)[_canonical_part(part, owner)]
-        moved = [number for number, own in enumerate(owner) if own == part]
+        moved = [number for number, holder in enumerate(owner) if holder == part]
         out[:, handle] += split.parts[:, moved].sum(axis=1) * split.members[:, limb]
     if (roles == np.arange(HANDLE_COUNT)).all():
         return weights, None
@@ -355,9 +354,9 @@ def _slots_of(queries: list[int], slots: int, spare: list[int]) -> list[int]:
     A slot has its own position in `_SPARE_FIRST`. Where the character uses that one itself, the slot has the next that
     no slot owns, and keeps it whether it is asked for or not, as long as there are enough.
     """
-    own = [HANDLE_NAMES.index(_SPARE_FIRST[slot]) if slot < len(_SPARE_FIRST) else -1 for slot in range(slots)]
-    free = [handle for handle in spare if handle not in own]
-    index = [handle if handle in spare else free.pop(0) if free else -1 for handle in own]
+    handles = [HANDLE_NAMES.index(_SPARE_FIRST[slot]) if slot < len(_SPARE_FIRST) else -1 for slot in range(slots)]
+    free = [handle for handle in spare if handle not in handles]
+    index = [handle if handle in spare else free.pop(0) if free else -1 for handle in handles]
     left = [handle for handle in spare if handle not in [index[slot] for slot in queries]]
     return [index[slot] if index[slot] >= 0 else left.pop(0) for slot in queries]
 
@@ -393,7 +392,7 @@ def _membership(mesh: NetworkMesh, graph: csr_matrix, limbs: list[Limb]) -> np.n
 # Chosen by eye on heads of the archive; FREE_HILL with the files of benchmarks/foreign_files.md in view.
 SLENDER_HILL = 4.0  # least slenderness: that of three quarters of a ball, which no lump on a head is
 LONG = 0.05  # least length, over the character's extent; the grid's cells are about a third of that
-PART = 0.45  # of the head's surface at the most; more is the head itself
+PART = 0.45  # largest share of the head's surface; more is the head itself
 FREE_HILL = 0.5  # least distance of its tip from the rest of the head, over its length: the inside of a mouth is nearer
 ROOT = 0.3  # share of the length, from the root, over which it blends with the head
 _HEAD = [HANDLE_NAMES.index(name) for name in ("head", "head_top", "face")]
@@ -438,11 +437,11 @@ def find_appendages(mesh: NetworkMesh, weights: np.ndarray, graph: csr_matrix | 
         return []
     graph = edge_lengths(mesh) if graph is None else graph
     distance = dijkstra(graph, indices=np.flatnonzero(~head), min_only=True)
-    found = sorted(_hills(mesh, graph, distance, head & np.isfinite(distance)), key=lambda one: -one.length)
+    appendages = sorted(_hills(mesh, graph, distance, head & np.isfinite(distance)), key=lambda one: -one.length)
     rest = head.copy()
-    for one in found:
+    for one in appendages:
         rest[one.members] = False
-    return [one for one in found if _stands_off(mesh, rest, one)]
+    return [one for one in appendages if _stands_off(mesh, rest, one)]
 
 
 @dataclass
@@ -513,9 +512,9 @@ def _stands_off(mesh: NetworkMesh, rest: np.ndarray, one: Appendage) -> bool:
 def appendage_shares(mesh: NetworkMesh, found: list[Appendage], distance: np.ndarray) -> np.ndarray:
     """How much each vertex is of each appendage, from 0 at its root to 1, shape (M, A)."""
     out = np.zeros((len(mesh.vertices), len(found)))
-    for number, one in enumerate(found):
-        way = np.clip((distance[one.members] - one.root) / (ROOT * one.length), 0, 1)
-        out[one.members, number] = way * way * (3 - 2 * way)
+    for number, appendage in enumerate(found):
+        way = np.clip((distance[appendage.members] - appendage.root) / (ROOT * appendage.length), 0, 1)
+        out[appendage.members, number] = way * way * (3 - 2 * way)
     return out
 
 
@@ -535,17 +534,17 @@ def with_appendages(
     """
     graph = edge_lengths(mesh)
     spare = [handle for handle in _SPARE_HANDLES if mesh.areas @ weights[:, handle] < SPARE * mesh.areas.sum()]
-    found = find_appendages(mesh, weights, graph)[: len(spare)]
-    if not found:
+    appendages = find_appendages(mesh, weights, graph)[: len(spare)]
+    if not appendages:
         return weights, full, None
     # Twins are nearly equally long, so their order by length would hang on the tessellation.
-    found.sort(key=lambda one: -float(mesh.vertices[one.members, 0].mean()))
+    appendages.sort(key=lambda one: -float(mesh.vertices[one.members, 0].mean()))
     head = weights[:, _HEAD].sum(axis=1) > 0.5
     distance = dijkstra(graph, indices=np.flatnonzero(~head), min_only=True)
-    shares = appendage_shares(mesh, found, distance)
+    shares = appendage_shares(mesh, appendages, distance)
     roles = np.arange(HANDLE_COUNT)
-    roles[spare[: len(found)]] = _TOP
-    taken = spare[: len(found)]
+    roles[spare[: len(appendages)]] = _TOP
+    taken = spare[: len(appendages)]
     return _moved(weights, shares, taken), _moved(full, mesh.push_clean(shares), taken), roles
 
 

@@ -256,10 +256,10 @@ class _GraphLayer:
     """`LayerNorm(EdgeConv(x) + spread(blocks(gather(x))))`, then GELU, shape (V, width_in) -> (V, width_out)."""
 
     def __init__(self, width_in: int, width_out: int, heads: int, depth: int, weights: Weights):
-        own = weights.linear("fine.own", width_in, width_out)
+        itself = weights.linear("fine.own", width_in, width_out)
         self.neighbour = weights.linear("fine.neighbour", width_in, width_out, bias=False)
         # what a vertex says of itself, less what its neighbours would hear of it
-        self.own = Linear(own.matrix - self.neighbour.matrix, own.bias)
+        self.own = Linear(itself.matrix - self.neighbour.matrix, itself.bias)
         self.enter = weights.linear("enter", width_in + 3, width_out)
         self.blocks = [  # rounds in which the anchors pass messages to one another
             PreNorm(
@@ -333,13 +333,13 @@ def predictor_config(shape: dict[str, object]) -> PredictorConfig:
         OptionError: A value is missing, unknown, or no size that a network has.
         ValueError: It is of other handles, or of meshes that have no room for them.
     """
-    found = config_of(PredictorConfig, shape)
-    if found.handles != HANDLE_COUNT or found.mesh_vertices < LEAST_VERTICES or found.anchors < 1:
+    config = config_of(PredictorConfig, shape)
+    if config.handles != HANDLE_COUNT or config.mesh_vertices < LEAST_VERTICES or config.anchors < 1:
         raise ValueError(
-            f"it is of {found.handles} handles on meshes of {found.mesh_vertices} vertices with {found.anchors} "
+            f"it is of {config.handles} handles on meshes of {config.mesh_vertices} vertices with {config.anchors} "
             f"anchors, not of {HANDLE_COUNT} on {LEAST_VERTICES} or more"
         )
-    return found
+    return config
 
 
 def load_predictor(path: str | Path) -> HandlePredictor:

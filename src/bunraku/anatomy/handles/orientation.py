@@ -226,15 +226,15 @@ def resolve_axes(
         OptionError: An axis is none of the six, or the two are not at a right angle.
         WeightsError: The weights are missing or broken, and something is to be guessed.
     """
-    said = [None if axis.strip().lower() == "auto" else axis_name(axis) for axis in (up, front)]
-    if said[0] is not None and said[1] is not None:
-        upright_rotation(said[0], said[1])
-        return ResolvedAxes(said[0], said[1])
+    given = [None if axis.strip().lower() == "auto" else axis_name(axis) for axis in (up, front)]
+    if given[0] is not None and given[1] is not None:
+        upright_rotation(given[0], given[1])
+        return ResolvedAxes(given[0], given[1])
     suffix = _suffix(character) if suffix is None else suffix
-    rule = has_rule(suffix) and said == [None, None]
+    rule = has_rule(suffix) and given == [None, None]
     # What is said against a rule says that the file breaks it, so the rest is judged as in a format without one.
     kind = "" if has_rule(suffix) and not rule else suffix
-    guess = guess_orientation(character, up=said[0], front=said[1], suffix=kind)
+    guess = guess_orientation(character, up=given[0], front=given[1], suffix=kind)
     return ResolvedAxes(*resolved_axes(guess, rule), guess)
 
 

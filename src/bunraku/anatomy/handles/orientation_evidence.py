@@ -200,12 +200,12 @@ class ColorEvidence(Evidence):
         middles = vertices[faces].mean(axis=1) - vertices.mean(axis=0)
         outward = -1 if (middles * normals).sum() < 0 else 1  # some files have their faces inside out
         seen = colors[faces].mean(axis=1) / 255
-        found = []
+        variances = []
         for axis in _AXIS_VECTORS:
             share = areas * np.clip(outward * (normals @ axis) / np.maximum(areas, 1e-300) - self.facing, 0, None)
             share = share / max(float(share.sum()), 1e-300)
-            found.append(float(share @ np.square(seen - share @ seen).sum(axis=1)))
-        return np.array(found)
+            variances.append(float(share @ np.square(seen - share @ seen).sum(axis=1)))
+        return np.array(variances)
 
     def front_scores(self, varied: np.ndarray) -> np.ndarray:
         """How much rather each of `AXES` is the front than others at a right angle to the same up axis, by `variety`,
@@ -291,13 +291,13 @@ class MirrorEvidence(Evidence):
         """
         low, high = vertices.min(axis=0), vertices.max(axis=0)
         size = max(float((high - low).max()), 1e-300)
-        some = vertices[np.unique(np.linspace(0, len(vertices) - 1, min(len(vertices), self.asked)).astype(int))]
+        sample = vertices[np.unique(np.linspace(0, len(vertices) - 1, min(len(vertices), self.asked)).astype(int))]
         tree = cKDTree(vertices[:: max(len(vertices) // self.held, 1)], balanced_tree=False)
         found = []
         for axis in range(3):
             means = []
             for plane in {float(low[axis] + high[axis]) / 2, float(np.median(vertices[:, axis])), 0.0}:
-                image = some.copy()
+                image = sample.copy()
                 image[:, axis] = 2 * plane - image[:, axis]
                 distances = tree.query(image, distance_upper_bound=self.far * size)[0] / size
                 means.append(float(np.minimum(distances, self.far).mean()))

@@ -65,9 +65,9 @@ class Patient:
     def edges(self) -> np.ndarray:
         """Edges without the bridges, and pairs of vertices on different loose parts that touch, shape (E, 2)."""
         mesh = self.mesh
-        own = mesh.edges[mesh.components[mesh.edges[:, 0]] == mesh.components[mesh.edges[:, 1]]]
+        inner = mesh.edges[mesh.components[mesh.edges[:, 0]] == mesh.components[mesh.edges[:, 1]]]
         near = cKDTree(mesh.vertices).query_pairs(self.touch * mesh.cell, output_type="ndarray")
-        return np.concatenate([own, near[mesh.components[near[:, 0]] != mesh.components[near[:, 1]]]])
+        return np.concatenate([inner, near[mesh.components[near[:, 0]] != mesh.components[near[:, 1]]]])
 
     def pieces(self, held: np.ndarray) -> np.ndarray:
         """Number of the connected piece of each vertex that is held, -1 for others, shape (M,)."""
@@ -138,8 +138,8 @@ class HairToHead(Repair):
         loose = hangs & (held(_HEAD) > self.held * held(everywhere)) & (trunk < self.trunk * trunk.sum())
         out = np.array(weights, np.float64)
         for limb in (limb_handles(side, family) for side in SIDES for family in FAMILIES):
-            own = held(limb)
-            rows = np.flatnonzero((loose & (own < self.limb * own.sum()))[part])
+            of_limb = held(limb)
+            rows = np.flatnonzero((loose & (of_limb < self.limb * of_limb.sum()))[part])
             out[rows, _TOP] += out[rows][:, limb].sum(axis=1)
             out[rows[:, None], limb] = 0
         return out.astype(np.float32)
@@ -173,10 +173,10 @@ class HairOffArms(Repair):
             held = weights[:, arm].sum(axis=1) > self.held
             angle = directions_about(mesh.vertices, positions[arm[0]], positions[arm[-1]])
             for number in np.unique(part[held]):
-                own = part == number
-                if own.sum() < self.fewest or goes_round(angle[own & held]):
+                members = part == number
+                if members.sum() < self.fewest or goes_round(angle[members & held]):
                     continue
-                height, rows = mesh.vertices[own, 1], np.flatnonzero(own)
+                height, rows = mesh.vertices[members, 1], np.flatnonzero(members)
                 top = rows[height >= height.max() - self.root * np.ptp(height)]
                 root = body.areas[top] @ weights[top][:, others]
                 if root.sum() < self.of_root * body.areas[top].sum():
@@ -192,7 +192,7 @@ class HairOffArms(Repair):
 
 @dataclass(frozen=True)
 class EarsToHead(Repair):
-    """What grows from a head is no arm: ears, horns, tusks and a trunk go to the handle of the head's top.
+    """What grows from a head is not an arm: ears, horns, tusks and a trunk go to the handle of the head's top.
 
     An arm of a body with a trunk meets that trunk. A piece of an arm's region that meets the head alone moves with the
     head; beside a larger piece that does meet the trunk it would fly about a joint that is not its own.
@@ -319,12 +319,12 @@ class SoftenTornEdges(Repair):
 
     def __call__(self, body: Patient, weights: np.ndarray) -> np.ndarray:
         mesh = body.mesh
-        own = mesh.components[mesh.edges[:, 0]] == mesh.components[mesh.edges[:, 1]]
-        mean = mean_operator(mesh.edges[own], len(weights))
+        inner = mesh.components[mesh.edges[:, 0]] == mesh.components[mesh.edges[:, 1]]
+        mean = mean_operator(mesh.edges[inner], len(weights))
         out = np.array(weights, np.float64)
         active = np.zeros(len(out), bool)
         for _ in range(self.rounds):
-            torn = own & (self.strain(mesh, out) > self.most)
+            torn = inner & (self.strain(mesh, out) > self.most)
             if not torn.any():
                 break
             active[mesh.edges[torn]] = True
@@ -415,7 +415,7 @@ class SeatParts:
         power: Of a part's row: blends of handles that move apart would shear the part, and rigs mostly bind it to one
             bone.
         touches: Parts nearer than this touch.
-        tiny: Share of the surface under which a piece is no limb, however sure its handle is.
+        tiny: Share of the surface under which a piece is not a limb, however sure its handle is.
     """
 
     small: float = 0.13
@@ -477,20 +477,20 @@ class SeatParts:
 
         single = ~sits & (parts.extent < self.stiff) & stiff
         alone = np.flatnonzero(single[label])
-        own = means(alone, areas[alone], mesh.push_surface(weights, alone))
-        rows[single] = own[single]
+        means_alone = means(alone, areas[alone], mesh.push_surface(weights, alone))
+        rows[single] = means_alone[single]
         skull = _HEAD[:3]
-        heads = own[:, skull].sum(axis=1) if own.shape[1] == HANDLE_COUNT else np.zeros(count)
-        hair = single & (own.max(axis=1) < self.clear[1]) & (heads > self.clear[0])  # whatever shares it
-        rows[hair] = np.eye(own.shape[1])[min(skull[0], own.shape[1] - 1)]
+        heads = means_alone[:, skull].sum(axis=1) if means_alone.shape[1] == HANDLE_COUNT else np.zeros(count)
+        hair = single & (means_alone.max(axis=1) < self.clear[1]) & (heads > self.clear[0])  # whatever shares it
+        rows[hair] = np.eye(means_alone.shape[1])[min(skull[0], means_alone.shape[1] - 1)]
         rows **= self.power
         rows /= np.maximum(rows.sum(axis=1, keepdims=True), 1e-30)
         share_of_row = np.where(sits, 1.0, 0.0)
-        clear = np.where(hair, heads, own.max(axis=1))
+        clear = np.where(hair, heads, means_alone.max(axis=1))
         share_of_row[single] = np.clip((clear[single] - self.clear[0]) / (self.clear[1] - self.clear[0]), 0, 1)
         if stiff:
-            seating = _Seating(mesh, weights, parts, sits, own, rows, share_of_row)
-            waiting = ~sits & (own.sum(axis=1) > 0) & (parts.areas < self.piece * parts.areas.sum())
+            seating = _Seating(mesh, weights, parts, sits, means_alone, rows, share_of_row)
+            waiting = ~sits & (means_alone.sum(axis=1) > 0) & (parts.areas < self.piece * parts.areas.sum())
             self._seat_flecks(seating, self._follow_contacts(seating, waiting))
             seating.follow_hosts()
         member = label[mesh.surface.start]
@@ -519,12 +519,12 @@ class SeatParts:
             if not touching.any():
                 break
             pieces, there = label[loose[touching]], settled[near[touching]]
-            found = seating.mesh.push_surface(seating.weights, there)
+            full = seating.mesh.push_surface(seating.weights, there)
             stiffened = seating.share[label[there]][:, None]
-            found = (1 - stiffened) * found + stiffened * seating.rows[label[there]]
+            full = (1 - stiffened) * full + stiffened * seating.rows[label[there]]
             fresh = np.isin(np.arange(len(waiting)), pieces)
             for piece in np.flatnonzero(fresh):
-                row = found[pieces == piece].mean(axis=0)
+                row = full[pieces == piece].mean(axis=0)
                 unsure = seating.own[piece].max() < self.clear[1] or areas[piece] < self.tiny * areas.sum()
                 if unsure and not _jointed(int(seating.own[piece].argmax()), int(row.argmax())):
                     seating.seat(int(piece), row**self.power)
@@ -580,4 +580,4 @@ class _Seating:
 def _jointed(handle: int, other: int) -> bool:
     """Whether two handles are one, or at most two joints apart."""
     lines = _LINES[handle], _LINES[other]
-    return sum(len(set(one) - set(both)) for one, both in (lines, lines[::-1])) <= 2
+    return sum(len(set(line) - set(both)) for line, both in (lines, lines[::-1])) <= 2

@@ -156,7 +156,7 @@ def handle_of_joints(
     """
     own = [re.sub(r"_[2-9]\d*$", "", name) for name in names]  # left_hip_2 moves the second left leg
     whole = len(names) == len(HANDLE_NAMES) or set(JOINT_NAMES) <= set(names)
-    if whole and set(own) <= set(HANDLE_NAMES):  # a rig that Bunraku wrote: its "shoulder" is no collar bone
+    if whole and set(own) <= set(HANDLE_NAMES):  # a rig that Bunraku wrote: its "shoulder" is not a collar bone
         return np.array([_H[name] for name in own], np.int64)
     tree = _Tree(without_prefix(names), list(parents), positions, mass)
     out = np.full(len(names), NO_HANDLE, np.int64)

@@ -96,11 +96,12 @@ def mmd_centre(names: Sequence[str], parents: np.ndarray, known: SkeletonMap) ->
 
 
 ALIKE = 0.15  # twins differ by less than this share in length
-LONG = 0.3  # of the longest twins: what is shorter is no limb
+LONG = 0.3  # of the longest twins: what is shorter is not a limb
+SHORT_BONE = 0.55  # a first bone shorter than this share of the next one is a collar bone, or joins a leg to the pelvis
+
 # Chosen on rigs whose names were taken away (benchmarks/apparel_bones.py).
 FARTHER = 1.5  # times as far as all others of three and more: what goes on a limb, with twists or sleeves beside it
 LEVEL = 0.1  # of the same: twins that end as low as others do, or begin as high
-SHORT_BONE = 0.55  # a first bone shorter than this share of the next one is a collar bone, or joins a leg to the pelvis
 
 
 def joints_by_structure(skeleton: Skeleton, mass: np.ndarray | None = None) -> dict[str, int]:
@@ -110,7 +111,7 @@ def joints_by_structure(skeleton: Skeleton, mass: np.ndarray | None = None) -> d
 
     Args:
         skeleton: Each joint after its parent.
-        mass: How much skin each joint holds, shape (J,): what holds none, as targets for the feet do, is no limb.
+        mass: How much skin each joint holds, shape (J,): what holds none, as targets for the feet do, is not a limb.
     """
     count, parents, positions = len(skeleton.names), skeleton.parents, skeleton.positions
     children = [np.flatnonzero(parents == joint).tolist() for joint in range(count)]
@@ -177,7 +178,7 @@ def joints_by_structure(skeleton: Skeleton, mass: np.ndarray | None = None) -> d
         gap = positions[ends[0]] - positions[ends[1]] - (positions[pair[1]] - positions[pair[2]])
         return hands, float(np.hypot(gap[0], gap[2])) / (reach[pair[1]] + reach[pair[2]])
 
-    # what hangs about the hips as a skirt does is no arm where there are others
+    # what hangs about the hips as a skirt does is not an arm where there are others
     higher = [pair for pair in others if positions[list(pair[1:]), 1].mean() > hips + level]
     arms = max(higher or others, key=reaches, default=None)
     out = {"pelvis": legs[0]}
@@ -273,7 +274,7 @@ def map_skeleton(skeleton: Skeleton, names: Mapping[str, str] | None = None) -> 
         if name not in _J or (own and own not in skeleton.names):
             wrong = name if name not in _J else own
             raise MotionError(
-                f"'{wrong}' in the map of names is no joint; there are "
+                f"'{wrong}' in the map of names is not a joint; there are "
                 f"{', '.join(JOINT_NAMES if name not in _J else skeleton.names)}"
             )
         joints[_J[name]], how[_J[name]] = (skeleton.names.index(own) if own else -1), "given"

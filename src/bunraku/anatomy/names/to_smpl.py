@@ -47,19 +47,19 @@ def to_smpl(motion: SkeletalMotion, skeleton_map: SkeletonMap | None = None) -> 
     Raises:
         MotionError: No pelvis and legs are found.
     """
-    found = skeleton_map or map_skeleton(motion.skeleton)
+    mapped = skeleton_map or map_skeleton(motion.skeleton)
     world, positions = motion.world()
     rest = motion.skeleton.positions.astype(float)
-    by_rest = rest_is_a_pose(motion.skeleton, found)
-    rotations = rotations_of_rest(found, rest) if by_rest else _rotations_of_motion(found, world, positions)
+    by_rest = rest_is_a_pose(motion.skeleton, mapped)
+    rotations = rotations_of_rest(mapped, rest) if by_rest else _rotations_of_motion(mapped, world, positions)
     out = np.empty((len(motion), JOINT_COUNT, 3, 3))
     for joint, parent in enumerate(JOINT_PARENTS):
-        source = found.joints[joint]
+        source = mapped.joints[joint]
         out[:, joint] = world[:, source] @ rotations[joint] if source >= 0 else out[:, parent]
-    offsets = _offsets(found, out, positions)
+    offsets = _offsets(mapped, out, positions)
     parents = np.array(JOINT_PARENTS)
     skeleton = Skeleton(JOINT_NAMES, parents, offsets)
-    return SkeletalMotion(skeleton, local_rotations(out, parents), positions[:, found.joints[0]], motion.fps)
+    return SkeletalMotion(skeleton, local_rotations(out, parents), positions[:, mapped.joints[0]], motion.fps)
 
 
 def rest_is_a_pose(skeleton: Skeleton, skeleton_map: SkeletonMap) -> bool:
@@ -139,16 +139,16 @@ def _foot(bone: np.ndarray, body: np.ndarray, want: np.ndarray) -> np.ndarray:
 
 def _rotations_of_motion(found: SkeletonMap, world: np.ndarray, positions: np.ndarray) -> np.ndarray:
     """C of each joint from the whole clip, shape (22, 3, 3)."""
-    known = reference_body()
+    body = reference_body()
     identity = SkeletonMap(tuple(range(JOINT_COUNT)), ("",) * JOINT_COUNT)
     step = max(len(world) // 2000, 1)
     world, positions = world[::step].astype(float), positions[::step].astype(float)
     out = np.tile(np.eye(3), (JOINT_COUNT, 1, 1))
-    own = np.empty((len(world), JOINT_COUNT, 3, 3))  # calibrated world rotations
+    turned_to = np.empty((len(world), JOINT_COUNT, 3, 3))  # calibrated world rotations
     for joint, parent in enumerate(JOINT_PARENTS):
         source = found.joints[joint]
         if source < 0:
-            own[:, joint] = own[:, parent]
+            turned_to[:, joint] = turned_to[:, parent]
             continue
 
         def local(points: np.ndarray, source: int = source) -> np.ndarray:
@@ -162,17 +162,17 @@ def _rotations_of_motion(found: SkeletonMap, world: np.ndarray, positions: np.nd
             across = local(np.stack([_across(found, points, parts) for points in positions]))
             hips = (positions[:, found.of("left_hip")] + positions[:, found.of("right_hip")]) / 2
             base = positions[:, source] if joint else hips
-            low = known.joints[joint] if joint else (known.joints[1] + known.joints[2]) / 2
+            low = body.joints[joint] if joint else (body.joints[1] + body.joints[2]) / 2
             up = local(positions[:, found.joints[top]] - base) if top >= 0 else np.zeros(3)
             if np.linalg.norm(np.cross(across, up)) > 1e-9:
-                theirs = _axes(_across(identity, known.joints, parts), known.joints[top] - low)
+                theirs = _axes(_across(identity, body.joints, parts), body.joints[top] - low)
                 out[joint] = _axes(across, up) @ theirs.T
         elif child >= 0 and found.joints[child] >= 0:
-            want = known.skeleton.offsets[child].astype(float)
+            want = body.skeleton.offsets[child].astype(float)
             bone = local(positions[:, found.joints[child]] - positions[:, source])
             plain = rotation_between(want, bone)
             turned = world[:, source] @ plain
-            out[joint] = plain @ _untwisted(np.swapaxes(own[:, parent], -1, -2) @ turned, want)
+            out[joint] = plain @ _untwisted(np.swapaxes(turned_to[:, parent], -1, -2) @ turned, want)
             lower = LIMB_CHILD.get(child, -1)
             if joint in LIMB_CHILD and lower >= 0 and found.joints[lower] >= 0:
                 next_bone = positions[:, found.joints[lower]] - positions[:, found.joints[child]]
@@ -180,8 +180,8 @@ def _rotations_of_motion(found: SkeletonMap, world: np.ndarray, positions: np.nd
                 hinge = _hinged(bent, want, 1 if joint in (_J["left_shoulder"], _J["right_shoulder"]) else -1)
                 out[joint] = out[joint] if hinge is None else plain @ hinge
         else:  # straight on its parent, in the mean
-            out[joint] = nearest_rotation((np.swapaxes(world[:, source], -1, -2) @ own[:, parent]).mean(axis=0))
-        own[:, joint] = world[:, source] @ out[joint]
+            out[joint] = nearest_rotation((np.swapaxes(world[:, source], -1, -2) @ turned_to[:, parent]).mean(axis=0))
+        turned_to[:, joint] = world[:, source] @ out[joint]
     return out
 
 
@@ -209,8 +209,8 @@ def _offsets(found: SkeletonMap, world: np.ndarray, positions: np.ndarray) -> np
     """Rest offsets with the source's lengths, shape (22, 3); bones to joints that the source lacks share the way by the
     reference's.
     """
-    known = reference_body()
-    lengths = np.linalg.norm(known.skeleton.offsets, axis=-1)
+    body = reference_body()
+    lengths = np.linalg.norm(body.skeleton.offsets, axis=-1)
     out = np.zeros((JOINT_COUNT, 3))
     placed = [joint == 0 for joint in range(JOINT_COUNT)]
     for joint in range(1, JOINT_COUNT):
@@ -229,8 +229,8 @@ def _offsets(found: SkeletonMap, world: np.ndarray, positions: np.ndarray) -> np
             placed[some] = True
     plain = Skeleton(JOINT_NAMES, np.array(JOINT_PARENTS), out)
     legs = all(placed[some] for some in (4, 5, 7, 8))
-    scale = leg_length(plain.positions) / leg_length(known.joints) if legs else 1.0
+    scale = leg_length(plain.positions) / leg_length(body.joints) if legs else 1.0
     for joint in range(1, JOINT_COUNT):
         if not placed[joint]:
-            out[joint] = known.skeleton.offsets[joint] * scale
+            out[joint] = body.skeleton.offsets[joint] * scale
     return out

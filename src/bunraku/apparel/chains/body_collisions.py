@@ -369,7 +369,7 @@ def _ways(
         rows = np.flatnonzero(np.square(positions - body[near]).sum(axis=1) < (BAND * size) ** 2)
         near = near[rows]
         way = Unposed.of(blend[near], points.joint[near])
-        # where another limb was at rest is no part of this one
+        # where another limb was at rest is not part of this one
         kept = np.flatnonzero(limbs[nearest_index(way(positions[rows]), points.rest)] == limb)
         if len(kept):
             out.append((rows[kept], way.take(kept), int(limb)))

@@ -174,7 +174,7 @@ def _read(path: Path) -> dict[str, dict[str, float]]:
     try:
         tables: dict[str, Any] = tomllib.loads(read_bounded(path).decode("utf-8-sig"))
     except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
-        raise FormatError(path, f"this is no TOML ({str(error)[:80]}); correct it") from None
+        raise FormatError(path, f"this is not TOML ({str(error)[:80]}); correct it") from None
     for name, table in tables.items():
         if not isinstance(table, dict):
             raise FormatError(path, f"'{name[:40]}' stands outside of a table; put it below [hair], [skirt] or a name")

@@ -44,6 +44,8 @@ GROUP, EMPTY_GROUP = 0, 15  # collision group of the chains, and one without bod
 CLOTH = ("skirt", "cape")  # kinds whose chains are tied to their neighbours
 TWIST = np.radians(3.0)
 TIE = np.radians(30.0)
+
+# Chosen by eye on twelve rigs of public repositories in a walk and a dance.
 GIVE = 0.12  # how far a tie lets neighbours come apart, over their distance
 SIDE = 0.5  # of the limit outwards: how far cloth swings along the body
 NEXT = 1.9  # neighbours are at most so many times as far apart as they are at the median

@@ -1,4 +1,4 @@
-"""Chains of a rig whose file says nothing of physics: bones of hair, skirts and the like that are no part of the body.
+"""Chains of a rig whose file says nothing of physics: bones of hair, skirts and the like that are not part of the body.
 
 Names decide first (`apparel_of_name`). Where they are silent, shape decides: a bone below the body that no part of the
 body needs and that holds the end of something, a strand or an edge, and not a piece within a limb, as bones for twists
@@ -38,14 +38,14 @@ _FACE = re.compile(
 
 # Chosen on characters of the wardrobe and on the twelve files of benchmarks/apparel_files.md;
 # benchmarks/apparel_bones.py counts chains.
-OWN = 0.85  # of a vertex's weight: what is not held by the body
-TOUCHES = 0.5  # of the vertices of a silent bone at the most have edges to others
+OWN = 0.85  # weight of a vertex from which on it is not the body's
+TOUCHES = 0.5  # largest share of the vertices of a silent bone that have edges to others
 FEWEST = 3  # vertices that a silent bone holds at least
 LIGHTEST = 1.0  # sum of the weights of a bone that holds anything
-OFF_CENTRE = 0.3  # of the extent of what it holds: how far its middle is from a bone that it hangs on
-AROUND = 0.4  # mean of the directions from a limb's axis to what a bone holds: less than this is on all sides of it
-LEAST = 0.018  # of the height: what silent bones hold is larger
-FORWARD = 0.7  # of its distance: how far what a single bone of the head holds lies before it at the most
+OFF_CENTRE = 0.3  # distance of its middle from the bone that it hangs on, over its extent
+AROUND = 0.4  # length of the mean direction from a limb's axis below which a bone's vertices lie on all sides of it
+LEAST = 0.018  # least size of what silent bones hold, over the height
+FORWARD = 0.7  # how far before the head its single bones may hold something, over the distance
 ROW = 4  # silent bones that hang side by side on one bone of the trunk: so many are the hem of a skirt
 SHORTEST = 5e-3  # of a link, over the height
 

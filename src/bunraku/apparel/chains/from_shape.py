@@ -126,7 +126,7 @@ def _ends(piece: Piece, wide: float, size: float) -> list[int]:
         far = np.union1d(far, [piece.along.argmax()])
     points, along = piece.points[far], piece.along[far]
     tree = cKDTree(points)
-    highest = np.array([along[some].max() for some in tree.query_ball_point(points, 0.6 * wide)])
+    highest = np.array([along[near].max() for near in tree.query_ball_point(points, 0.6 * wide)])
     beside = piece.graph.tocoo()
     reached = np.array(piece.along)  # of what an edge away reaches farthest: meshes may be coarse
     np.maximum.at(reached, beside.row, piece.along[beside.col])
@@ -144,12 +144,12 @@ def _ends(piece: Piece, wide: float, size: float) -> list[int]:
         gap = np.minimum(gap, np.linalg.norm(points[good] - points[chosen[-1]], axis=1))
     for _ in range(EVENED):  # farthest points lie once and twice as far apart
         nearest = cKDTree(points[chosen]).query(points[good])[1]
-        means = [points[good[nearest == one]].mean(axis=0) for one in range(len(chosen))]
+        means = [points[good[nearest == index]].mean(axis=0) for index in range(len(chosen))]
         chosen = [
-            int(good[nearest == one][np.linalg.norm(points[good[nearest == one]] - mean, axis=1).argmin()])
-            for one, mean in enumerate(means)
+            int(good[nearest == index][np.linalg.norm(points[good[nearest == index]] - mean, axis=1).argmin()])
+            for index, mean in enumerate(means)
         ]
-    return [int(far[one]) for one in chosen]
+    return [int(far[index]) for index in chosen]
 
 
 def _spine(piece: Piece, end: int, rows: int, wide: float) -> np.ndarray:

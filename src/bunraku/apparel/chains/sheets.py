@@ -21,8 +21,8 @@ from bunraku.core.geometry.graph import clean_mesh, mesh_parts, unique_edges
 __all__ = ["Piece", "pieces_of"]
 
 # Lengths over the size [m]. All were chosen by eye.
-ROUND = 0.65  # of the directions about the body: a piece that covers so many is a skirt
-BROAD = 0.3  # of them: a piece on the trunk that covers so many is a cape
+ROUND = 0.65  # share of the directions about the body that a skirt covers
+BROAD = 0.3  # the same of a cape
 BINS = 24
 # Points are joined to so many that are as near: cards of hair and layers of cloth lie on one another without an edge.
 NEAR, CLOSE = 6, 0.02
@@ -31,9 +31,9 @@ NEAR, CLOSE = 6, 0.02
 WALL, GRID, ACROSS = 0.06, 0.02, 16
 SKULL = 1.3  # half axes of the skull within which hair above its lower quarter is held
 BALD = 0.75  # least half axes of a skull that hair hides, over half its height
-FAR = 0.04  # what lies farther from all that is held of a piece is held for itself
+FAR = 0.04  # what lies farther than this from the held points of its piece is held by itself
 UPPER = 0.35  # of the height of a piece of cloth: only its points above this hold it
-EDGE = 0.02  # cloth is held so far down from its upper edge
+EDGE = 0.02  # how far down from its upper edge cloth is held
 _HEAD = tuple(JOINT_NAMES.index(name) for name in ("head", "neck"))
 _HIPS = tuple(JOINT_NAMES.index(name) for name in ("pelvis", "spine1", "left_hip", "right_hip"))
 _CHEST = (JOINT_NAMES.index("spine2"), JOINT_NAMES.index("spine3"), *sided("collar"))

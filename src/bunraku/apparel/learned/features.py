@@ -100,6 +100,7 @@ class Pendulums:
         return self.points - positions
 
 
+# As in the simulation that the networks were trained on.
 BLEND = 0.6  # share of the way in which the pose changes; in the rest of it apparel settles
 
 

@@ -172,15 +172,15 @@ class FoldedNetwork:
 class _FoldedPart:
     def __init__(self, part: DisplacementPart, still: np.ndarray, graph: NodeGraph):
         first, self.second = part.enter
-        own = len(part.mean)
+        width = len(part.mean)
         scaled = np.clip((still - part.mean[:STILL]) / part.std[:STILL], -6, 6)
         still = scaled @ first.matrix[:STILL] + first.bias
         self.mean, self.std = part.mean[STILL:], part.std[STILL:]
-        self.moving = first.matrix[STILL:own]
+        self.moving = first.matrix[STILL:width]
         # the second map of the motion's MLP and that of its result are one
         enter, leave = part.motion
         self.motion = enter
-        pose = first.matrix[own:]
+        pose = first.matrix[width:]
         self.pose = leave.matrix @ pose
         self.still = (still + leave.bias @ pose).astype(np.float32)
         self.norm, self.blocks, self.decoder, self.graph = part.norm, part.blocks, part.decoder, graph

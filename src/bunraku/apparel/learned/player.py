@@ -32,8 +32,6 @@ NEAR = 4
 RIGID = 0.03
 """Weight of the carrying joint's own rotation in that of a node, over the spread of its neighbours; chosen by eye."""
 
-ROUND = 2e-3  # products of sums of a matrix' singular values, two by two, below which no rotation is nearer than others
-
 
 class Carrier:
     """Takes the displacement of nodes to the apparel vertices of a clothed character; every part has some nodes."""
@@ -45,15 +43,15 @@ class Carrier:
         self.share = np.zeros((len(self.vertices), NEAR), np.float32)
         parts = clothed.part[self.vertices]
         for part in np.unique(parts):
-            rows, own = np.flatnonzero(parts == part), np.flatnonzero(nodes.part == part)
-            near = min(NEAR, len(own))
-            gap, found = cKDTree(nodes.rest[own]).query(clothed.rest[self.vertices[rows]], near)
-            gap, found = gap.reshape(len(rows), near), found.reshape(len(rows), near)
+            rows, nodes_of_part = np.flatnonzero(parts == part), np.flatnonzero(nodes.part == part)
+            near = min(NEAR, len(nodes_of_part))
+            gap, nearest = cKDTree(nodes.rest[nodes_of_part]).query(clothed.rest[self.vertices[rows]], near)
+            gap, nearest = gap.reshape(len(rows), near), nearest.reshape(len(rows), near)
             # the farthest of the four counts for nothing, so that nothing jumps where another takes its place
             weight = 1 / (gap**2 + 1e-8)
             if near == NEAR:
                 weight = np.maximum(weight - weight[:, -1:] * 0.999, 0)
-            self.index[rows, :near] = own[found]
+            self.index[rows, :near] = nodes_of_part[nearest]
             self.share[rows, :near] = weight / weight.sum(axis=1, keepdims=True)
         self._mixed(clothed, nodes)
         neighbours = nodes.rest[nodes.neighbours] - nodes.rest[:, None]
@@ -130,8 +128,9 @@ def polar_rotation(matrices: np.ndarray, rounds: int = 10) -> np.ndarray:
     rows = b.reshape(3, 3, -1)
     gram = (rows[:, None] * rows).sum(axis=2)  # B B'
     cubed = (gram[:, :, None] * rows).sum(axis=1).reshape(9, -1)
-    rotation = ((half + 1) * b + root * cofactors - cubed) / np.where(below > ROUND, below, 1.0)
-    rotation = np.where(below > ROUND, rotation, np.eye(3).reshape(9, 1))
+    clear = below > 2e-3  # a product of sums of singular values; for less, no rotation is nearer than others
+    rotation = ((half + 1) * b + root * cofactors - cubed) / np.where(clear, below, 1.0)
+    rotation = np.where(clear, rotation, np.eye(3).reshape(9, 1))
     return np.ascontiguousarray(rotation.T, np.float32).reshape(shape)
 
 
@@ -140,6 +139,7 @@ _MINORS = np.array([
 ])  # fmt: skip
 """Elements whose products, the first two less the last two, are the cofactors of a matrix."""
 
+# Chosen by eye on Gene, Uka and the wardrobe.
 HELD = 0.02  # nodes as near to where their part is held do not move, over the character's size [m]
 BESIDE = 0.03  # how near to the way out through a node legs count, over the character's size [m]
 # How deep a vertex may be in the limb near its third node, over the character's size [m]; measured: docs/history.md.
@@ -185,9 +185,9 @@ class Safety:
         self.lengths = np.linalg.norm(nodes.rest[self.edges[:, 0]] - nodes.rest[self.edges[:, 1]], axis=1)
         self.shortest, self.longest = self.settings.shortest * self.lengths, self.settings.longest * self.lengths
         self.ends = tuple(np.ascontiguousarray(end) for end in self.edges.T)
-        known = known_share(clothed.stiffness[nodes.part], self.settings)
+        share = known_share(clothed.stiffness[nodes.part], self.settings)
         # where the swing of each vertex is known, the networks know stiff parts too
-        self.share = np.where(clothed.swing is None, known, np.float32(1))[:, None]
+        self.share = np.where(clothed.swing is None, share, np.float32(1))[:, None]
         # what lies on the body at rest stays there: the root of a part is held
         self.free = np.where(nodes.distance < HELD * scale, 0.0, 1.0)[:, None].astype(np.float32)
         degree = np.maximum(np.bincount(self.edges.reshape(-1), minlength=len(nodes)), 1)
@@ -273,8 +273,8 @@ class Safety:
             return positions
         turn, shift = affine[0, :, :3], affine[0, :, 3]
         legs = body[self.legs] @ turn - shift @ turn
-        own = positions[self.hung] @ turn - shift @ turn
-        short = self.leg_gap + self._reach(legs) - ((own - self.axis) * self.outward).sum(axis=1)
+        local = positions[self.hung] @ turn - shift @ turn
+        short = self.leg_gap + self._reach(legs) - ((local - self.axis) * self.outward).sum(axis=1)
         short = np.where(short < self.settings.lift * self.scale, np.maximum(short, 0), 0)
         push = np.zeros((len(positions), 4), np.float32)
         push[self.hung, :3] = (short[:, None] * self.outward) @ turn.T

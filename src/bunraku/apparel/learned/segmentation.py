@@ -120,15 +120,15 @@ def _near(positions: np.ndarray, part: np.ndarray, chosen: np.ndarray) -> tuple[
     own_part = part[chosen]
     far = cKDTree(positions[chosen])
     for number in range(int(part.max()) + 1):
-        rows, own = np.flatnonzero(part == number), np.flatnonzero(own_part == number)
-        if not len(own):  # more parts than points: those without one take the nearest of any
+        rows, points_of_part = np.flatnonzero(part == number), np.flatnonzero(own_part == number)
+        if not len(points_of_part):  # more parts than points: those without one take the nearest of any
             gap, found = far.query(positions[rows], 3 if len(chosen) >= 3 else 1)
-            own = np.arange(len(chosen))
+            points_of_part = np.arange(len(chosen))
         else:
-            gap, found = cKDTree(positions[chosen[own]]).query(positions[rows], min(3, len(own)))
+            gap, found = cKDTree(positions[chosen[points_of_part]]).query(positions[rows], min(3, len(points_of_part)))
         gap, found = gap.reshape(len(rows), -1), found.reshape(len(rows), -1)
         weight = 1 / (gap + 1e-6)
-        nearest[rows, : found.shape[1]] = own[found]
+        nearest[rows, : found.shape[1]] = points_of_part[found]
         shares[rows, : found.shape[1]] = weight / weight.sum(axis=1, keepdims=True)
     return nearest, shares
 

@@ -22,7 +22,8 @@ __all__ = [
 ]  # fmt: skip
 
 LEAST = 24  # vertices that a limb is made of at least
-# a bone whose vertices are all nearer to their middle than this share of the height gets none: fingers, eyes, teeth
+# a bone whose vertices are all nearer to their middle than this share of the height gets none: fingers, eyes, teeth;
+# chosen by eye on simulations of Uka, Gene and the wardrobe
 SMALL = 0.03
 MOST = 40  # limbs; the largest are kept
 TAKEN = 20_000  # vertices of one bone at most
@@ -59,7 +60,7 @@ def _box(bone: int, name: str, points: np.ndarray) -> MmdBody:
 
 
 # Chosen by eye on simulations of Uka, Gene and the wardrobe.
-THINNEST = 5e-3  # half extents below are taken as this for inertia [m]: thin rods spin faster than any time step
+THINNEST = 5e-3  # least half extent for the inertia [m]: thin rods spin faster than any time step
 SMALLEST = 1e-3  # a shape that is smaller collides with nothing [m]
 MOST_RODS = 3  # capsules that stand for a box
 _ABOUT_X = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0])  # wxyz; MuJoCo's capsules lie along z, MMD's along y
@@ -124,9 +125,10 @@ def add_rods(owner: Any, body: MmdBody, position: np.ndarray, name: str, setting
     return added
 
 
+# Chosen by eye on simulations of Uka, Gene and the wardrobe.
 LOOSE = 100  # joints in a row that hold are better than one that lets go
-TIGHT = 1e-3  # a smaller range of positions is none [m]
-STIFF = 1e-3  # a smaller range of angles is none [rad]
+TIGHT = 1e-3  # smaller ranges of positions count as none [m]
+STIFF = 1e-3  # smaller ranges of angles count as none [rad]
 SAME_PLACE = 2e-3  # joints nearer than this are at one position [m]
 
 
@@ -302,6 +304,7 @@ def _depths(parents: np.ndarray) -> list[int]:
 
 
 GIMBAL = np.radians(80.0)
+# Chosen by eye on simulations of Uka, Gene and the wardrobe.
 SLACK = 0.1  # how far a body may go along an axis that its file frees altogether [m]
 _ANGLE_UNIT = MMD_METRE**2  # torques of MMD are mass times its unit squared over seconds squared
 

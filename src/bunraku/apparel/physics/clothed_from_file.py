@@ -55,7 +55,8 @@ def bending_limits(rig: ApparelRig, parents: np.ndarray) -> np.ndarray:
     return out
 
 
-LEAST = 1e-3  # a joint that is locked counts for so much in where a chain turns [rad]
+# The displacement networks were trained with these.
+LEAST = 1e-3  # what a locked joint counts for in where a chain rotates [rad]
 SHORT = 0.01  # levers count as no shorter where something slides [m]
 SLIDE = 0.1  # as far an axis slides that is free altogether (`world`) [m]
 
@@ -288,7 +289,9 @@ def clothed_from_file(character: Character, body: UnifiedBody | None = None, dia
     body = body or UnifiedBody.of(character)
     rig, mask = apparel_rig(character), apparel_mask(character)
     if rig is None or mask is None or not mask.any():
-        raise CharacterError(f"{character.name}: its file says nothing of apparel that physics move")
+        raise CharacterError(
+            f"{character.name}: its file has no apparel that physics move; choose another way with --apparel"
+        )
     part = apparel_parts(character.vertices, character.faces, mask)
     springs = part_springs(character, rig, part)
     limp = np.zeros(len(springs.spring), np.float32)

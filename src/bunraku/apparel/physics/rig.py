@@ -104,8 +104,7 @@ class PhysicsSettings:
 
 
 VRM_RATE = 60.0  # steps a second that VRM's parameters are meant for [1/s]
-LIGHTER = 0.5  # mass of a joint over that of the one above
-END = 0.07  # of a chain whose last node swings as well [m]
+END = 0.07  # of a chain whose last node swings as well [m], by the specification of VRM 0.x
 MOST_PAIRS = 1_000_000  # of a group of springs and a collider
 GROUPS = 15  # of colliders; the first of MMD's 16 groups is that of the chains
 SHORTEST = 5e-3  # of a joint [m]
@@ -211,7 +210,7 @@ class _Chains:
             direction = starts[-1] - before
             direction = direction if np.linalg.norm(direction) > 1e-6 else np.array([0.0, -1, 0])
             tails.append(starts[-1] + END * direction / np.linalg.norm(direction))
-        masses, ends = LIGHTER ** np.arange(len(joints)), np.array(tails[: len(joints)])
+        masses, ends = 0.5 ** np.arange(len(joints)), np.array(tails[: len(joints)])
         above = -1
         for number, joint in enumerate(joints):
             if joint.node in self.taken:

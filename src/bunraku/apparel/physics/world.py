@@ -57,9 +57,9 @@ def _meet(a: Kind, b: Kind) -> bool:
 
 
 # Chosen by eye on simulations of Uka, Gene and the wardrobe.
-NEAR = 1e-3  # shapes that are this near at rest may come as near, and no nearer [m]
-KEPT = 0.02  # of the distance between apparel and a limb at rest, this much is kept [m]
-SLACK = 4e-3  # but for this [m]
+NEAR = 1e-3  # shapes that are nearer than this at rest may come as near as that, and no nearer [m]
+KEPT = 0.02  # how much of the distance between apparel and a limb at rest is kept [m]
+SLACK = 4e-3  # less this [m]
 DEEP = 0.8  # a body that is deeper in a limb at rest, as a share of its radius, is not kept out of it
 
 
@@ -112,6 +112,8 @@ def _near_limbs(model: Any, data: Any, near: float) -> list[tuple[str, str, floa
 MOST_DYNAMIC = 2000
 _NO_CONTACT = {"contype": 0, "conaffinity": 0}
 HEAVY = 1e4  # mass of a driven bone over that of all apparel
+
+# Chosen by eye on simulations of Uka, Gene and the wardrobe.
 LIGHT = 0.05  # mass of a slider over that of the lighter body
 
 
@@ -196,8 +198,8 @@ class _Builder:
         numbers = [*body.size, *body.position, *body.rotation.ravel(), body.mass, body.friction]
         if not np.isfinite([*numbers, body.linear_damping, body.angular_damping]).all() or body.size.min() < 0:
             raise CharacterError(
-                f"rigid body '{body.name}' has a size, position or mass that is negative or no number; correct it or "
-                "leave it out"
+                f"rigid body '{body.name}' has a size, position or mass that is negative or not a number; correct it "
+                "or leave it out"
             )
         if not -1 <= body.bone < bones:
             self.notes.append(f"rigid body '{body.name}' is on a bone that does not exist and hangs on none")

@@ -48,10 +48,10 @@ def _moments() -> _Moments:
     mass /= np.maximum(mass.sum(axis=0), 1e-30)
     means = mass.T @ vertices
     arms = (vertices[:, None] - means) * mass[..., None]  # (V, K, 3)
-    own = body.joint_weights.astype(float)
-    from_joint = own[..., None] * (vertices[:, None] - body.joints)  # (V, J, 3)
+    joint_weights = body.joint_weights.astype(float)
+    from_joint = joint_weights[..., None] * (vertices[:, None] - body.joints)  # (V, J, 3)
     linear = np.einsum("vja,vkb->jakb", from_joint, arms, optimize=True)
-    return _Moments(linear.reshape(3 * count, 3 * count), (own.T @ arms.reshape(len(vertices), -1)))
+    return _Moments(linear.reshape(3 * count, 3 * count), (joint_weights.T @ arms.reshape(len(vertices), -1)))
 
 
 def skeleton_from_handles(motion: HandleMotion, rounds: int = ROUNDS) -> SkeletalMotion:

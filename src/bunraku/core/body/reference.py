@@ -80,8 +80,8 @@ class ReferenceBody:
         if motion.skeleton.names != JOINT_NAMES:
             raise MotionError("the reference body takes motions of SMPL's 22 joints only; map the skeleton first")
         scale = leg_length(self.joints) / leg_length(motion.skeleton.positions)
-        own = SkeletalMotion(self.skeleton, motion.rotations, motion.root_translation * scale, motion.fps)
-        rotations, positions = own.world()
+        scaled = SkeletalMotion(self.skeleton, motion.rotations, motion.root_translation * scale, motion.fps)
+        rotations, positions = scaled.world()
         transforms = np.concatenate(
             [rotations, (positions - np.einsum("njab,jb->nja", rotations, self.joints))[..., None]], axis=-1
         )
@@ -196,11 +196,11 @@ def smpl_rotations() -> np.ndarray:
     """World rotation of each part from the reference body's T-pose to SMPL's, shape (22, 3, 3). Limbs rotate, hands
     with their forearms; the trunk and the feet face the same way in both.
     """
-    own, want = reference_body().skeleton.offsets.astype(float), smpl_offsets()
+    ours, want = reference_body().skeleton.offsets.astype(float), smpl_offsets()
     out = np.tile(np.eye(3), (JOINT_COUNT, 1, 1))
     for joint, child in LIMB_CHILD.items():
         above = out[JOINT_PARENTS[joint]]
-        out[joint] = rotation_between(above @ own[child], want[child]) @ above
+        out[joint] = rotation_between(above @ ours[child], want[child]) @ above
     for side in ("left", "right"):
         out[JOINT_NAMES.index(f"{side}_wrist")] = out[JOINT_NAMES.index(f"{side}_elbow")]
     return out

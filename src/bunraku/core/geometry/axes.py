@@ -27,12 +27,12 @@ def axis_name(text: str) -> str:
     """An axis in canonical form: "Z", "z" and "+Z" are "+z".
 
     Raises:
-        OptionError: It is no axis.
+        OptionError: It is not an axis.
     """
     name = text.strip().lower()
     name = name if name[:1] in ("+", "-") else f"+{name}"
     if name not in AXES:
-        raise OptionError(f"'{text}' is no axis; there are {', '.join(AXES)}")
+        raise OptionError(f"'{text}' is not an axis; there are {', '.join(AXES)}")
     return name
 
 
@@ -130,7 +130,7 @@ class FileFrame:
             OptionError: There is no such axis or unit.
         """
         if unit not in UNITS:
-            raise OptionError(f"'{unit}' is no unit; there are {', '.join(UNITS)}")
+            raise OptionError(f"'{unit}' is not a unit; there are {', '.join(UNITS)}")
         if up not in _TURNS:
             raise OptionError(f"up is +y or +z in a file, not {up}")
         return cls(_TURNS[up], 1 / UNITS[unit])

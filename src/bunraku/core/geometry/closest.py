@@ -150,13 +150,13 @@ def surface_distances(
     tree, near = cKDTree((first + second + third) / 3), min(_NEAREST, len(faces))
     out = np.full(len(points), np.inf)
     for start in range(0, len(points), _CHUNK // near):
-        some = points[start : start + _CHUNK // near]
-        distance, triangle = tree.query(some, range(1, near + 1), distance_upper_bound=most)
+        chunk = points[start : start + _CHUNK // near]
+        distance, triangle = tree.query(chunk, range(1, near + 1), distance_upper_bound=most)
         row, column = np.nonzero(np.isfinite(distance))
         if not len(row):
             continue
         triangle = triangle[row, column]
-        p = some[row] - first[triangle]
+        p = chunk[row] - first[triangle]
         pp, pu, pv = ((p * other).sum(axis=-1) for other in (p, u[triangle], v[triangle]))
         square = _closest(pp, pu, pv, *dots[:, triangle])[0]
         begins = np.flatnonzero(np.diff(row, prepend=-1))
@@ -188,9 +188,9 @@ def blend_matrix(points: np.ndarray, home: np.ndarray, stars: Stars, width: floa
     for rows in np.split(order, np.unique(cuts)):
         if len(rows) == 0:
             continue
-        found = _search(points[rows], home[rows], stars)
-        moved = _walk(points[rows], home[rows], found, stars)
-        blocks.append(_blend(found, moved < 0, rows, stars, width))
+        nearest = _search(points[rows], home[rows], stars)
+        moved = _walk(points[rows], home[rows], nearest, stars)
+        blocks.append(_blend(nearest, moved < 0, rows, stars, width))
         gone = np.flatnonzero(moved >= 0)
         if len(gone):
             blocks.append(
@@ -213,8 +213,8 @@ def _blend(
     s, t = found.s[keep], found.t[keep]
     values = np.stack([share * (1 - s - t), share * s, share * t], axis=1).reshape(-1)
     columns = stars.triangles[found.triangle[keep]].reshape(-1)
-    some = np.flatnonzero(values > 1e-7)
-    return np.repeat(rows[owner], 3)[some], columns[some], values[some].astype(np.float32)
+    kept_values = np.flatnonzero(values > 1e-7)
+    return np.repeat(rows[owner], 3)[kept_values], columns[kept_values], values[kept_values].astype(np.float32)
 
 
 def _closest(

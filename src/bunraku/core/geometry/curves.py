@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 __all__ = [
-    "MonotoneCurve", "correlated", "gaussian", "running_least", "running_mean", "running_most", "smooth_step",
-    "solve_banded", "tallest_steady",
+    "STANDS", "STRIDE", "MonotoneCurve", "correlated", "gaussian", "running_least", "running_mean", "running_most",
+    "smooth_step", "solve_banded", "tallest_steady",
 ]  # fmt: skip
 
 EDGES = ("nearest", "mirror", "wrap")
@@ -42,17 +42,17 @@ def correlated(values: np.ndarray, kernel: np.ndarray, edge: str = "nearest") ->
     if count == 0:
         return values.copy()
     columns = values.reshape(count, -1)
-    found = np.empty_like(columns)
+    filtered = np.empty_like(columns)
     for first in range(0, columns.shape[1], _COLUMNS):
-        some = np.asarray(columns[:, first : first + _COLUMNS], np.float64)
-        longer = _padded(some, reach, reach, edge)
+        chunk = np.asarray(columns[:, first : first + _COLUMNS], np.float64)
+        longer = _padded(chunk, reach, reach, edge)
         out = longer[reach : reach + count] * kernel[reach]
         for away in range(reach, 0, -1):
             both = longer[reach - away : reach - away + count] + longer[reach + away : reach + away + count]
             both *= kernel[reach - away]
             out += both
-        found[:, first : first + _COLUMNS] = out
-    return found.reshape(values.shape)
+        filtered[:, first : first + _COLUMNS] = out
+    return filtered.reshape(values.shape)
 
 
 def gaussian(values: np.ndarray, deviation: float, edge: str = "nearest") -> np.ndarray:
@@ -182,9 +182,13 @@ def solve_banded(band: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 STRIDE = 0.5
-"""Heights are averaged over this time, in which a stride goes up and down [s]."""
+"""Heights are averaged over this time, in which a stride goes up and down: people take about
+two steps a second (Murray 1964) [s].
+"""
+STANDS = 0.05
+"""Share of the frames whose lowest point may be under the ground where a motion is set on it."""
 QUANTILE = 0.9
-"""A leap or a rearing that is shorter than a tenth of the clip is not how tall a body stands."""
+"""A leap or a rearing that is shorter than a tenth of the clip is, by definition, not how tall a body stands."""
 
 
 def tallest_steady(heights: np.ndarray, fps: float, tall: float = 0.9, fast: float = 0.5) -> np.ndarray:

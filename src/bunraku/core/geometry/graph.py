@@ -21,7 +21,8 @@ __all__ = [
     "mean_operator", "mesh_parts", "pack", "unique_edges", "unpack_pairs",
 ]  # fmt: skip
 
-# points nearer than this share of the largest extent are always welded, points four times as far apart never directly
+# points nearer than this share of the largest extent (some roundings of float32) are always welded, points four times
+# as far apart never directly
 _WELD = 2.5e-6
 _DIRECTION = (0.8017837257372732, 0.5129891760425771, 0.3068528194400547)  # no plane of a usual model is square to it
 
@@ -170,9 +171,9 @@ def _first_alike(key: np.ndarray) -> np.ndarray:
     out = np.arange(len(key))
     again = ordered[1:][ordered[1:] == ordered[:-1]]  # sorting numbers alone is ten times as fast as np.unique
     if len(again):
-        some = np.flatnonzero(np.isin(key, again))
-        _, first, inverse = np.unique(key[some], return_index=True, return_inverse=True)
-        out[some] = some[first[inverse]]
+        repeated = np.flatnonzero(np.isin(key, again))
+        _, first, inverse = np.unique(key[repeated], return_index=True, return_inverse=True)
+        out[repeated] = repeated[first[inverse]]
     return out
 
 
@@ -262,9 +263,9 @@ def bridge_edges(vertices: np.ndarray, parts: np.ndarray, per_part: int = 3) -> 
         per_part: Edges that join two parts.
     """
     parts = np.unique(parts, return_inverse=True)[1]
-    found = np.zeros((0, 2), np.int64)
+    bridges = np.zeros((0, 2), np.int64)
     if parts.max(initial=0) == 0:
-        return found
+        return bridges
     tree = cKDTree(vertices)
     near = min(12, len(vertices))
     distances, others = tree.query(vertices, near)
@@ -301,7 +302,7 @@ def bridge_edges(vertices: np.ndarray, parts: np.ndarray, per_part: int = 3) -> 
         by_part = np.argsort(first, kind="stable")
         pair, first = pair[by_part], first[by_part]
         rank = np.arange(len(first)) - np.searchsorted(first, first)
-        found = np.concatenate([found, np.sort(pair[rank < per_part], axis=1)])
+        bridges = np.concatenate([bridges, np.sort(pair[rank < per_part], axis=1)])
         joined = np.flatnonzero(target >= 0)
         parts = mesh_parts(np.stack([joined, target[joined]], axis=1), count)[parts]
-    return unpack_pairs(found[:, 0] * len(vertices) + found[:, 1], len(vertices))
+    return unpack_pairs(bridges[:, 0] * len(vertices) + bridges[:, 1], len(vertices))

@@ -63,9 +63,9 @@ def quaternion_from_matrix(matrix: Array) -> Array:
     xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
     a, b, c = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
     d, e, f = m[..., 1, 0] + m[..., 0, 1], m[..., 0, 2] + m[..., 2, 0], m[..., 2, 1] + m[..., 1, 2]
-    own = [1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz, 1 + xx + yy + zz]
-    diagonal = xp.stack(own, -1)
-    entries = [own[0], d, e, a, d, own[1], f, b, e, f, own[2], c, a, b, c, own[3]]
+    squares = [1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz, 1 + xx + yy + zz]
+    diagonal = xp.stack(squares, -1)
+    entries = [squares[0], d, e, a, d, squares[1], f, b, e, f, squares[2], c, a, b, c, squares[3]]
     candidates = xp.stack(entries, -1).reshape(*diagonal.shape, 4)
     best = diagonal.argmax(-1)[..., None, None]
     if xp is np:

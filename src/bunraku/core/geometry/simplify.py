@@ -90,10 +90,10 @@ def refine(clean: CleanMesh, cell: float, max_edge: float) -> FineMesh:
         merge(cell / 2)
         while split_estimate(points, faces, length) > _MOST_SPLITS and length < 2:
             length *= 1.3
-    whole = len(points)
+    count = len(points)
     points, faces, rounds = split_long_edges(points, faces, length)
     if rounds:
-        grown = identity(whole, format="csr")
+        grown = identity(count, format="csr")
         for pairs in rounds:
             rows = np.repeat(np.arange(len(pairs)), 2)
             half = csr_matrix(
@@ -206,9 +206,9 @@ def soft_means(fine: FineMesh, patches: Patches, cell: float) -> tuple[csr_matri
     """
     label, ends = patches.label, fine.edges
     ends = ends[label[ends[:, 0]] != label[ends[:, 1]]]
-    own = np.arange(len(label))
+    columns = np.arange(len(label))
     members, where = (
-        np.concatenate([own, ends[:, 0], ends[:, 1]]),
+        np.concatenate([columns, ends[:, 0], ends[:, 1]]),
         np.concatenate([label, label[ends[:, 1]], label[ends[:, 0]]]),
     )
     pairs = unpack_pairs(members * len(patches.cells) + where, len(patches.cells))
@@ -220,7 +220,9 @@ def soft_means(fine: FineMesh, patches: Patches, cell: float) -> tuple[csr_matri
     return csr_matrix((share / areas[patch], (patch, vertex)), shape=(len(areas), len(label))), areas
 
 
-_CELLS_PER_AREA = 1.12  # network vertices over the area in cell faces: 1.5 cells crossed on average, less the crumbs
+# network vertices over the area in cell faces: 1.5 cells crossed on average, less the crumbs; measured on the six
+# samples: 1.07 to 1.08
+_CELLS_PER_AREA = 1.12
 _SMALLEST_CELL, _LARGEST_CELL = 1 / 2000, 0.08
 
 
@@ -305,9 +307,9 @@ class NetworkMesh:
         count = len(view.vertices)
         key, inverse = np.unique(self.surface_label * count + view.surface_label, return_inverse=True)
         shared = np.bincount(inverse, self.surface.areas)
-        own, other = np.divmod(key, count)
-        order = np.lexsort((-shared, own))
-        home = other[order[np.unique(own[order], return_index=True)[1]]]
+        first, other = np.divmod(key, count)
+        order = np.lexsort((-shared, first))
+        home = other[order[np.unique(first[order], return_index=True)[1]]]
         out: np.ndarray = view._blend(self.vertices.astype(np.float64), home) @ np.asarray(values, np.float32)
         return out
 
@@ -317,8 +319,8 @@ class NetworkMesh:
 
     @cached_property
     def _stars(self) -> Stars:
-        own = self.edges[self.components[self.edges[:, 0]] == self.components[self.edges[:, 1]]]
-        return stars_of(self.vertices.astype(np.float64), self.faces, own)
+        inner = self.edges[self.components[self.edges[:, 0]] == self.components[self.edges[:, 1]]]
+        return stars_of(self.vertices.astype(np.float64), self.faces, inner)
 
     @cached_property
     def _spread(self) -> csr_matrix:

@@ -36,8 +36,8 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray, unit: bool = True) -
         return out
     # Work relative to the largest component: areas of small meshes square to less than the smallest double.
     largest = np.abs(out).max(axis=1, keepdims=True)
-    whole = largest.max(initial=0)
-    fine = largest > 1e-12 * whole
+    scale = largest.max(initial=0)
+    fine = largest > 1e-12 * scale
     out = np.where(fine, out / np.where(fine, largest, 1), [0.0, 1.0, 0.0])
     unit_normals: np.ndarray = out / np.sqrt(np.square(out).sum(axis=1, keepdims=True))
     return unit_normals
@@ -200,29 +200,29 @@ def winding_numbers(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray)
     order, starts = np.concatenate(clusters), np.cumsum([0, *map(len, clusters)])[:-1]
     sums = np.add.reduceat(np.hstack([areas, size[:, None] * middles, size[:, None]])[order], starts)
     centers = sums[:, 3:6] / sums[:, 6:]
-    cluster = np.repeat(np.arange(len(clusters)), [len(own) for own in clusters])
+    cluster = np.repeat(np.arange(len(clusters)), [len(members) for members in clusters])
     away = np.linalg.norm(corners[order] - centers[cluster, None], axis=2).max(axis=1)
     reach = np.maximum.reduceat(away, starts)
     unit = float(np.ptp(corners.reshape(-1, 3), axis=0).max()) / 10
     dipoles = (sums[:, :3] / unit**2).astype(np.float32)
     out, number = np.empty(len(points)), np.zeros(len(vertices), np.int64)
     for some in _clusters(points, _POINTS):
-        own = points[some]
-        middle = (own.min(axis=0) + own.max(axis=0)) / 2
-        wide = np.linalg.norm(own - middle, axis=1).max()
+        members = points[some]
+        middle = (members.min(axis=0) + members.max(axis=0)) / 2
+        wide = np.linalg.norm(members - middle, axis=1).max()
         far = np.linalg.norm(centers - middle, axis=1) - wide > FAR * reach
         # Over their size about their middle, so that single precision does.
-        own = ((own - middle) / unit).astype(np.float32)
-        found = _of_dipoles(own, ((centers[far] - middle) / unit).astype(np.float32), dipoles[far])
-        near = [clusters[one] for one in np.flatnonzero(~far)]
+        members = ((members - middle) / unit).astype(np.float32)
+        winding = _of_dipoles(members, ((centers[far] - middle) / unit).astype(np.float32), dipoles[far])
+        near = [clusters[index] for index in np.flatnonzero(~far)]
         if near:
             corner = faces[np.concatenate(near)]
             here = np.zeros(len(vertices), bool)  # np.unique sorts, which takes longer
             here[corner] = True
             used = np.flatnonzero(here)
             number[used] = np.arange(len(used))
-            found += _of_faces(own, ((vertices[used] - middle) / unit).astype(np.float32), number[corner])
-        out[some] = found / (4 * np.pi)
+            winding += _of_faces(members, ((vertices[used] - middle) / unit).astype(np.float32), number[corner])
+        out[some] = winding / (4 * np.pi)
     return out
 
 
@@ -230,14 +230,14 @@ def _clusters(points: np.ndarray, most: int) -> list[np.ndarray]:
     """Indices of points that lie near one another, in groups of at most `most`: halved along their longest side."""
     left, out = [np.arange(len(points))] if len(points) else [], []
     while left:
-        own = left.pop()
-        if len(own) <= most:
-            out.append(own)
+        members = left.pop()
+        if len(members) <= most:
+            out.append(members)
             continue
-        some = points[own]
-        along = some[:, np.ptp(some, axis=0).argmax()]
-        order = np.argpartition(along, len(own) // 2)
-        left += [own[order[: len(own) // 2]], own[order[len(own) // 2 :]]]
+        positions = points[members]
+        along = positions[:, np.ptp(positions, axis=0).argmax()]
+        order = np.argpartition(along, len(members) // 2)
+        left += [members[order[: len(members) // 2]], members[order[len(members) // 2 :]]]
     return out
 
 
@@ -255,15 +255,15 @@ def _of_faces(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np
     a)|b|), in which all but the lengths is linear in the point and its square.
     """
     a, b, c = vertices[faces].transpose(1, 0, 2)
-    one, none = np.ones((len(faces), 1), np.float32), np.zeros((len(faces), 1), np.float32)
+    ones, none = np.ones((len(faces), 1), np.float32), np.zeros((len(faces), 1), np.float32)
     bc = _cross(b, c)
     across = _cross(a, b) + bc + _cross(c, a)
     top = np.hstack([-across, none, (a * bc).sum(axis=1, keepdims=True)])
-    pairs = [np.hstack([-x - y, one, (x * y).sum(axis=1, keepdims=True)]) for x, y in ((a, b), (b, c), (c, a))]
-    known = np.vstack([points.T, (points**2).sum(axis=1), np.ones(len(points), np.float32)])
-    volume, ab, bc, ca = (np.vstack([top, *pairs]) @ known).reshape(4, len(faces), len(points))
+    pairs = [np.hstack([-x - y, ones, (x * y).sum(axis=1, keepdims=True)]) for x, y in ((a, b), (b, c), (c, a))]
+    lifted = np.vstack([points.T, (points**2).sum(axis=1), np.ones(len(points), np.float32)])
+    volume, ab, bc, ca = (np.vstack([top, *pairs]) @ lifted).reshape(4, len(faces), len(points))
     corner = np.hstack([-2 * vertices, np.ones((len(vertices), 1), np.float32), (vertices**2).sum(axis=1)[:, None]])
-    lengths = np.sqrt(np.maximum(corner @ known, 0))
+    lengths = np.sqrt(np.maximum(corner @ lifted, 0))
     to_a, to_b, to_c = (lengths[faces[:, side]] for side in range(3))
     ab += to_a * to_b
     ab *= to_c
@@ -292,8 +292,8 @@ def _directions(count: int) -> np.ndarray:
     number = np.arange(count)
     height = 1 - (2 * number + 1) / count
     radius = np.sqrt(1 - height**2)
-    found = np.stack([radius * np.cos(_GOLDEN * number), height, radius * np.sin(_GOLDEN * number)], axis=1)
-    return found.astype(np.float32)
+    directions = np.stack([radius * np.cos(_GOLDEN * number), height, radius * np.sin(_GOLDEN * number)], axis=1)
+    return directions.astype(np.float32)
 
 
 def extreme_points(points: np.ndarray, count: int = 64) -> np.ndarray:
@@ -326,6 +326,6 @@ def part_extremes(vertices: np.ndarray, weights: np.ndarray, count: int = 160) -
     label = most + weights.shape[1] * shared
     out = []
     for part in np.unique(label):
-        own = np.flatnonzero(label == part)
-        out.append(own if len(own) <= count else own[extreme_points(vertices[own], count)])
+        members = np.flatnonzero(label == part)
+        out.append(members if len(members) <= count else members[extreme_points(vertices[members], count)])
     return np.sort(np.concatenate(out))

@@ -84,14 +84,14 @@ def _opened(path: Path, kind: str, framework: str = "np") -> Iterator[tuple[Any,
     try:
         with safe_open(path, framework=framework) as file:
             metadata = file.metadata() or {}
-            found = metadata.get("kind")
-            if metadata.get("format") != FORMAT or found is None:
+            stored = metadata.get("kind")
+            if metadata.get("format") != FORMAT or stored is None:
                 raise WeightsError(
                     f"{path}: this is a safetensors file but not a Bunraku checkpoint; give one that Bunraku wrote"
                 )
-            if found != kind:
+            if stored != kind:
                 raise WeightsError(
-                    f"{path}: this is a checkpoint of kind '{found}', but '{kind}' is needed here; give another file"
+                    f"{path}: this is a checkpoint of kind '{stored}', but '{kind}' is needed here; give another file"
                 )
             config = json.loads(metadata["config"])
             if not isinstance(config, dict):
@@ -223,9 +223,9 @@ def config_of(kind: type[Config], data: object) -> Config:
     """
     config = from_json(kind, data, "the config")
     for name, value in vars(config).items():
-        for one in value if isinstance(value, tuple) else (value,):
-            if isinstance(one, int | float) and not 0 <= one <= _LARGEST:
-                raise OptionError(f"{name} must be from 0 to {_LARGEST}, not {one:g}")
+        for entry in value if isinstance(value, tuple) else (value,):
+            if isinstance(entry, int | float) and not 0 <= entry <= _LARGEST:
+                raise OptionError(f"{name} must be from 0 to {_LARGEST}, not {entry:g}")
     return config
 
 

@@ -99,20 +99,20 @@ class Attention(NamedTuple):
             gate: Factor of what is added.
         """
         batch, length, width = x.shape
-        said = normed(x, norm).reshape(-1, width) @ self.enter.matrix
-        said += self.enter.bias
-        parts = said.reshape(batch, length, -1, self.heads, width // self.heads).transpose(2, 0, 3, 1, 4)
+        entered = normed(x, norm).reshape(-1, width) @ self.enter.matrix
+        entered += self.enter.bias
+        parts = entered.reshape(batch, length, -1, self.heads, width // self.heads).transpose(2, 0, 3, 1, 4)
         if memory is None:
             query, key = parts[:2] if rotary is None else apply_rotary(parts[:2], rotary)
             mixed = attended(query, key, parts[2], hidden)
         else:
             query = parts[0] if rotary is None else apply_rotary(parts[0], rotary)
             mixed = attended(query, memory.keys, memory.values, hidden)
-        said = (mixed.reshape(-1, width) @ self.leave.matrix).reshape(x.shape)
-        said += self.leave.bias
+        entered = (mixed.reshape(-1, width) @ self.leave.matrix).reshape(x.shape)
+        entered += self.leave.bias
         if gate is not None:
-            said *= gate
-        x += said
+            entered *= gate
+        x += entered
         return x
 
 
@@ -124,13 +124,13 @@ class FeedForward(NamedTuple):
 
     def __call__(self, x: np.ndarray, norm: Norm, gate: np.ndarray | None = None) -> np.ndarray:
         """The next hidden states; writes on `x`, shape (..., d)."""
-        said = normed(x, norm).reshape(-1, x.shape[-1]) @ self.wide.matrix
-        said += self.wide.bias
-        said = (gelu(said) @ self.narrow.matrix).reshape(x.shape)
-        said += self.narrow.bias
+        widened = normed(x, norm).reshape(-1, x.shape[-1]) @ self.wide.matrix
+        widened += self.wide.bias
+        widened = (gelu(widened) @ self.narrow.matrix).reshape(x.shape)
+        widened += self.narrow.bias
         if gate is not None:
-            said *= gate
-        x += said
+            widened *= gate
+        x += widened
         return x
 
 
@@ -311,13 +311,13 @@ class Weights:
         Raises:
             ValueError: It is missing, or has another shape.
         """
-        whole = self._prefix + name
-        found = self._state.get(whole)
-        if found is None or found.shape != shape:
-            there = "none" if found is None else str(list(found.shape))
-            raise ValueError(f"its config makes '{whole}' of size {list(shape)}, and the file has {there}")
-        self._left.discard(whole)
-        return found.astype(np.float32) if found.dtype == np.float16 else found
+        full_name = self._prefix + name
+        array = self._state.get(full_name)
+        if array is None or array.shape != shape:
+            there = "none" if array is None else str(list(array.shape))
+            raise ValueError(f"its config makes '{full_name}' of size {list(shape)}, and the file has {there}")
+        self._left.discard(full_name)
+        return array.astype(np.float32) if array.dtype == np.float16 else array
 
     def linear(self, name: str, width_in: int, width_out: int, bias: bool = True) -> Linear:
         """The linear layer of this name; its matrix lies as the product reads it."""
@@ -384,10 +384,10 @@ def parallel(first: Callable[[], _One], second: Callable[[], _Other]) -> tuple[_
         return first(), second()
     other = _thread().submit(second)
     try:
-        one = first()
+        first_result = first()
     finally:
         other.exception()  # it has ended when this goes on
-    return one, other.result()
+    return first_result, other.result()
 
 
 @cache

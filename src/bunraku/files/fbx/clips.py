@@ -114,13 +114,13 @@ def read_curve(tree: FbxTree, thing: FbxObject) -> Curve | None:
     if not len(times):
         return None
     flags, data, counts = (thing.node.array(name) for name in ("KeyAttrFlags", "KeyAttrDataFloat", "KeyAttrRefCount"))
-    known = (
+    supported = (
         len(flags) == len(counts)
         and counts.min(initial=1) >= 1
         and int(counts.astype(float).sum()) == len(times)
         and len(data) == 4 * len(flags)
     )
-    if not known or not len(flags):  # without what says how to go from key to key, straight on
+    if not supported or not len(flags):  # without what says how to go from key to key, straight on
         straight = np.zeros((len(times), 2))
         return Curve(times, values, np.zeros(len(times), np.int64), straight, straight + 1 / 3)
     data = data.reshape(-1, 4)
@@ -137,8 +137,8 @@ def read_curve(tree: FbxTree, thing: FbxObject) -> Curve | None:
 
 def _with_auto(times: np.ndarray, values: np.ndarray, flags: np.ndarray, slopes: np.ndarray) -> np.ndarray:
     """The slopes, shape (M, 2), with those computed that a key leaves to the program and that are not stored."""
-    own = ((flags & CUBIC) > 0) & ((flags & (AUTO | TCB)) > 0) & ((flags & USER) == 0)
-    if len(times) < 2 or not own.any():
+    computed = ((flags & CUBIC) > 0) & ((flags & (AUTO | TCB)) > 0) & ((flags & USER) == 0)
+    if len(times) < 2 or not computed.any():
         return slopes
     span = np.diff(times)
     secant = np.diff(values) / np.where(span > 0, span, 1)
@@ -154,8 +154,8 @@ def _with_auto(times: np.ndarray, values: np.ndarray, flags: np.ndarray, slopes:
     slope = np.where((flags & PROGRESSIVE) > 0, limited, slope)
     slope = np.where(((flags & FLAT_AT_EQUAL) > 0) & ((left == 0) | (right == 0)), 0, slope)
     out = slopes.copy()
-    out[own, 0] = slope[own]
-    out[:-1, 1] = np.where(own[1:], slope[1:], slopes[:-1, 1])
+    out[computed, 0] = slope[computed]
+    out[:-1, 1] = np.where(computed[1:], slope[1:], slopes[:-1, 1])
     return out
 
 
@@ -191,9 +191,9 @@ def read_clips(scene: FbxScene) -> list[FbxClip]:
         curves: dict[tuple[int, str], tuple[Curve | float, ...]] = {}
         for layer in scene.below(stack, "AnimationLayer"):
             for group in scene.below(layer, "AnimationCurveNode"):
-                for owner, what in scene.owners.get(group.id, ()):
-                    if what in PROPERTIES and owner in scene.indices and (scene.indices[owner], what) not in curves:
-                        curves[scene.indices[owner], what] = _curves(scene, group, owner, what)
+                for owner, obj in scene.owners.get(group.id, ()):
+                    if obj in PROPERTIES and owner in scene.indices and (scene.indices[owner], obj) not in curves:
+                        curves[scene.indices[owner], obj] = _curves(scene, group, owner, obj)
         keys = [curve.times for trio in curves.values() for curve in trio if isinstance(curve, Curve)]
         if not keys:
             continue  # Mixamo and Maya leave an empty "Take 001" behind
@@ -206,21 +206,21 @@ def read_clips(scene: FbxScene) -> list[FbxClip]:
 
 def _curves(scene: FbxScene, group: FbxObject, owner: int, what: str) -> tuple[Curve | float, ...]:
     still = scene.objects[owner].numbers(what, PROPERTIES[what])
-    found: list[Curve | float] = [group.number(axis, still[i]) for i, axis in enumerate(_AXES)]
+    curves: list[Curve | float] = [group.number(axis, still[i]) for i, axis in enumerate(_AXES)]
     for child, axis in scene.links.get(group.id, ()):
         thing = scene.objects.get(child)
         if thing is not None and thing.kind == "AnimationCurve" and axis in _AXES:
             curve = read_curve(scene.tree, thing)
             if curve is not None:
-                found[_AXES.index(axis)] = curve
-    return tuple(found)
+                curves[_AXES.index(axis)] = curve
+    return tuple(curves)
 
 
 def find_clip(scene: FbxScene, clips: list[FbxClip], clip: int | str | None) -> FbxClip:
     """A clip by its number or name (`clip_number`), the first one for None; FormatError where the file has no clip."""
     if not clips:
         scene.tree.fail("it holds no animation; export it with its keys baked")
-    return clips[0 if clip is None else clip_number(scene.tree.path, [known.name for known in clips], clip)]
+    return clips[0 if clip is None else clip_number(scene.tree.path, [entry.name for entry in clips], clip)]
 
 
 def sample_clip(scene: FbxScene, clip: FbxClip, fps: float) -> tuple[Values, int]:
@@ -268,9 +268,9 @@ def read_motion(path: Path, data: bytes, *, clip: int | str | None = None, fps: 
         OptionError: It has no clip of this name or number.
     """
     scene = read_scene(read_tree(path, data))
-    found = find_clip(scene, read_clips(scene), clip)
-    joints = _joints(scene, found)
-    values, count = sample_clip(scene, found, fps)
+    chosen = find_clip(scene, read_clips(scene), clip)
+    joints = _joints(scene, chosen)
+    values, count = sample_clip(scene, chosen, fps)
     frame = scene.frame
     rest = frame.world(_rest(scene, joints))
     moving = np.stack([np.broadcast_to(some, (count, 4, 4)) for some in world_matrices(scene, values, joints)], axis=1)

@@ -159,14 +159,14 @@ def _write(
         joints = add_bones(objects, bones) if bones is not None else []
         models, played = [], []
         for mesh in meshes:
-            own = [] if shapes is None else [
-                Shape(f"move_{number}", one[mesh.index]) for number, one in enumerate(shapes)
+            moving = [] if shapes is None else [
+                Shape(f"move_{number}", deltas[mesh.index]) for number, deltas in enumerate(shapes)
             ]  # fmt: skip
-            own = own if any(one.offsets.any() for one in own) else []
-            model, channels = add_mesh(objects, mesh, own, character, look, bones, joints)
+            moving = moving if any(deltas.offsets.any() for deltas in moving) else []
+            model, channels = add_mesh(objects, mesh, moving, character, look, bones, joints)
             models.append(model)
-            if own and keys is not None:
-                played.append(ShapeTrack(channels[len(channels) - len(own) :], *keys))
+            if moving and keys is not None:
+                played.append(ShapeTrack(channels[len(channels) - len(moving) :], *keys))
         if bones is not None:
             _add_bind_pose(objects, bones, joints, models)
             if tracks:

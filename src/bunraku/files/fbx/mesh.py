@@ -232,7 +232,7 @@ def read_skin(scene: FbxScene, geometry: FbxObject, points: int) -> FbxSkin | No
 
 
 def _matrix(numbers: np.ndarray) -> np.ndarray | None:
-    """A matrix that the file stores column by column, None where it is none or flat."""
+    """A matrix that the file stores column by column, None if there is none or it is flat."""
     if len(numbers) != 16 or not np.isfinite(numbers).all():
         return None
     out = numbers.astype(float).reshape(4, 4).T
@@ -247,23 +247,23 @@ def bind_matrices(scene: FbxScene, world: np.ndarray, clusters: list[Cluster]) -
     """World transforms of all joints in the bind pose, in the file's frame and unit. Clusters state those of the joints
     that they move; the others are where the default pose, shape (M, 4, 4), has them relative to a joint that is known.
     """
-    known: dict[int, np.ndarray] = {}
+    binds: dict[int, np.ndarray] = {}
     for cluster in clusters:
-        known.setdefault(scene.indices[cluster.joint.id], cluster.bind)
+        binds.setdefault(scene.indices[cluster.joint.id], cluster.bind)
     bones = [index for index, model in enumerate(scene.models) if model.subtype in BONES]
-    if not known:
+    if not binds:
         return {index: world[index] for index in bones}
     for index in reversed(bones):  # up the tree first, so that roots that move nothing stand where their children say
         parent = int(scene.parents[index])
-        if index in known and parent >= 0 and parent not in known and scene.models[parent].subtype in BONES:
-            known[parent] = known[index] @ inverses(world[index][None])[0] @ world[parent]
+        if index in binds and parent >= 0 and parent not in binds and scene.models[parent].subtype in BONES:
+            binds[parent] = binds[index] @ inverses(world[index][None])[0] @ world[parent]
     for index in bones:
         parent = int(scene.parents[index])
-        if index not in known:
-            known[index] = (
-                known[parent] @ inverses(world[parent][None])[0] @ world[index] if parent in known else world[index]
+        if index not in binds:
+            binds[index] = (
+                binds[parent] @ inverses(world[parent][None])[0] @ world[index] if parent in binds else world[index]
             )
-    return dict(sorted(known.items()))
+    return dict(sorted(binds.items()))
 
 
 def inverses(matrices: np.ndarray) -> np.ndarray:
@@ -303,7 +303,7 @@ class Materials:
         color = color * np.clip(thing.number("DiffuseFactor", 1), 0, 1)
         clear = thing.number("TransparencyFactor", 0) * thing.numbers("TransparentColor", (1, 1, 1)).mean()
         alpha = float(np.clip(1 - clear, 0, 1))
-        if alpha < 0.02:  # several exporters write 1 for what is solid, and an invisible mesh is no character
+        if alpha < 0.02:  # several exporters write 1 for what is solid, and an invisible mesh is not a character
             alpha = 1.0
         texture = self._diffuse(thing)
         if texture is not None:
@@ -311,12 +311,12 @@ class Materials:
         return matte_material(thing.name or "material", [*color, alpha], texture)
 
     def _diffuse(self, thing: FbxObject) -> int | None:
-        for child, what in self.scene.links.get(thing.id, ()):
+        for child, role in self.scene.links.get(thing.id, ()):
             texture = self.scene.objects.get(child)
             if (
                 texture is not None
                 and texture.kind == "Texture"
-                and what in ("DiffuseColor", "Diffuse", "Maya|baseColor", "3dsMax|Parameters|base_color_map")
+                and role in ("DiffuseColor", "Diffuse", "Maya|baseColor", "3dsMax|Parameters|base_color_map")
             ):
                 return self._texture(texture)
         return None
@@ -342,9 +342,9 @@ class Materials:
         for name in filter(None, names):
             last = name.replace("\\", "/").rsplit("/", 1)[-1]
             for file in (name, last, f"{path.stem}.fbm/{last}", f"textures/{last}"):
-                found: Path | None = beside(path, file)
-                if found is not None:
-                    return embeddable(found)
+                file_path: Path | None = beside(path, file)
+                if file_path is not None:
+                    return embeddable(file_path)
         return None
 
 

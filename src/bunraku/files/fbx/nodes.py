@@ -158,12 +158,12 @@ _NUMBERS = re.compile(rb"[0-9eE+\-.,\s]*")
 
 def read_text_tree(path: Path, data: bytes) -> FbxTree:
     """The tree of a text FBX file; errors are those of `read_tree`."""
-    found = re.search(rb"FBXVersion:\s*(\d{1,9})", data[:100_000])
-    if b"\0" in data[:1000] or found is None:
+    version = re.search(rb"FBXVersion:\s*(\d{1,9})", data[:100_000])
+    if b"\0" in data[:1000] or version is None:
         raise FormatError(path, "this is not an FBX file, or its header is missing; export it again as binary FBX")
-    check_version(path, int(found.group(1)))
+    check_version(path, int(version.group(1)))
     check_text(path, data)
-    return FbxTree(path, int(found.group(1)), _parse(path, data))
+    return FbxTree(path, int(version.group(1)), _parse(path, data))
 
 
 def _parse(path: Path, data: bytes) -> FbxNode:
@@ -222,8 +222,8 @@ def _array(path: Path, data: bytes, at: int, count: int, node: FbxNode, allowanc
     allowance.take(8 * block.group().count(b",") + 8)
     words = block.group().replace(b",", b" ").split()
     try:
-        whole = not any(letter in block.group() for letter in b".eE")
-        numbers = np.array(words, dtype="S32").astype(np.int64 if whole else np.float64) if words else np.zeros(0)
+        integers = not any(letter in block.group() for letter in b".eE")
+        numbers = np.array(words, dtype="S32").astype(np.int64 if integers else np.float64) if words else np.zeros(0)
     except (ValueError, OverflowError):
         raise FormatError(path, f"an array of '{node.name}' holds something that is not a number; {BROKEN}") from None
     if end is None or len(numbers) != count:

@@ -237,13 +237,13 @@ class _Builder:
 
 def _placed_meshes(scene: FbxScene) -> list[_Placed]:
     """All meshes with faces that are not hidden, wherever models place them."""
-    found: list[tuple[int, FbxObject]] = []
+    placed: list[tuple[int, FbxObject]] = []
     for index, model in enumerate(scene.models):
-        found += [(index, geometry) for geometry in scene.below(model, "Geometry", "Mesh")]
-    shown = [(index, geometry) for index, geometry in found if scene.models[index].number("Visibility", 1) > 0]
+        placed += [(index, geometry) for geometry in scene.below(model, "Geometry", "Mesh")]
+    shown = [(index, geometry) for index, geometry in placed if scene.models[index].number("Visibility", 1) > 0]
     read: dict[int, tuple[FbxMesh, FbxSkin | None]] = {}
     out, total = [], 0
-    for index, geometry in shown or found:
+    for index, geometry in shown or placed:
         if geometry.id not in read:
             mesh = read_mesh(scene, geometry)
             read[geometry.id] = mesh, read_skin(scene, geometry, len(mesh.points))

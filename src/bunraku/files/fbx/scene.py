@@ -103,8 +103,8 @@ class FbxScene:
 
     def below(self, owner: FbxObject, kind: str, subtype: str = "") -> list[FbxObject]:
         """Objects of a kind that are connected below one, in the order of the file."""
-        found = (self.objects.get(other) for other, _ in self.links.get(owner.id, ()))
-        return [other for other in found if other is not None and other.kind == kind and subtype in ("", other.subtype)]
+        ends = (self.objects.get(other) for other, _ in self.links.get(owner.id, ()))
+        return [other for other in ends if other is not None and other.kind == kind and subtype in ("", other.subtype)]
 
     def of_kind(self, kind: str) -> list[FbxObject]:
         """All objects of a kind, in the order of the file."""
@@ -118,16 +118,16 @@ class FbxScene:
     @cached_property
     def frame(self) -> Frame:
         """The frame and unit that the file states; Y up and centimetres where it states none that make sense."""
-        found = FbxObject(0, "", "", "", FbxNode(""), _properties(self.tree.section("GlobalSettings")))
+        settings = FbxObject(0, "", "", "", FbxNode(""), _properties(self.tree.section("GlobalSettings")))
         axes, names = np.zeros((3, 3)), []
         for row, (name, default) in enumerate((("CoordAxis", 0), ("UpAxis", 1), ("FrontAxis", 2))):
-            axis, sign = int(found.number(name, default)), -1.0 if found.number(f"{name}Sign", 1) < 0 else 1.0
+            axis, sign = int(settings.number(name, default)), -1.0 if settings.number(f"{name}Sign", 1) < 0 else 1.0
             if 0 <= axis <= 2:
                 axes[row, axis] = sign
                 names.append(f"{'-' if sign < 0 else '+'}{'XYZ'[axis]}")
         if abs(np.linalg.det(axes)) < 0.5:
             axes, names = np.eye(3), ["+X", "+Y", "+Z"]
-        unit = found.number("UnitScaleFactor", 1)
+        unit = settings.number("UnitScaleFactor", 1)
         return Frame(axes, 0.01 * (unit if 1e-6 <= unit <= 1e6 else 1.0), names[1], names[2])
 
 
@@ -145,18 +145,18 @@ def read_scene(tree: FbxTree) -> FbxScene:
     objects: dict[int, FbxObject] = {}
     for node in tree.section("Objects").children:
         if len(node.values) >= 3 and type(node.values[0]) is int and node.values[0] != 0:
-            own = {**templates.get(node.name, {}), **_properties(node)}
+            properties = {**templates.get(node.name, {}), **_properties(node)}
             objects[node.values[0]] = FbxObject(
-                node.values[0], node.name, str(node.values[2]), _name(str(node.values[1])), node, own
+                node.values[0], node.name, str(node.values[2]), _name(str(node.values[1])), node, properties
             )
     links: dict[int, list[tuple[int, str]]] = {}
     owners: dict[int, list[tuple[int, str]]] = {}
     for link in tree.section("Connections").all("C"):
         if len(link.values) >= 3 and type(link.values[1]) is int and type(link.values[2]) is int:
             child, owner = link.values[1:3]
-            what = str(link.values[3]) if len(link.values) > 3 else ""
-            links.setdefault(owner, []).append((child, what))
-            owners.setdefault(child, []).append((owner, what))
+            role = str(link.values[3]) if len(link.values) > 3 else ""
+            links.setdefault(owner, []).append((child, role))
+            owners.setdefault(child, []).append((owner, role))
     models, parents = _hierarchy(tree, objects, owners)
     return FbxScene(tree, objects, links, owners, models, parents)
 
@@ -165,12 +165,12 @@ def _hierarchy(
     tree: FbxTree, objects: dict[int, FbxObject], owners: dict[int, list[tuple[int, str]]]
 ) -> tuple[tuple[FbxObject, ...], np.ndarray]:
     """The models with parents first, and the parent of each."""
-    found = [thing for thing in objects.values() if thing.kind == "Model"]
-    if len(found) > MAX_MODELS:
-        tree.fail(f"it has {len(found):,} objects but at most {MAX_MODELS:,} are read; export fewer")
+    models = [thing for thing in objects.values() if thing.kind == "Model"]
+    if len(models) > MAX_MODELS:
+        tree.fail(f"it has {len(models):,} objects but at most {MAX_MODELS:,} are read; export fewer")
     above: dict[int, int] = {}
     children: dict[int, list[FbxObject]] = {}
-    for model in found:
+    for model in models:
         parent = next(
             (
                 owner
@@ -184,7 +184,7 @@ def _hierarchy(
     ordered = list(children.get(0, []))
     for model in ordered:
         ordered.extend(children.get(model.id, []))
-    if len(ordered) != len(found):
+    if len(ordered) != len(models):
         tree.fail(f"its objects form a cycle; {BROKEN}")
     indices = {model.id: index for index, model in enumerate(ordered)}
     return tuple(ordered), np.array([indices.get(above[model.id], -1) for model in ordered], int)
@@ -268,11 +268,11 @@ def world_matrices(scene: FbxScene, values: Values, chosen: list[int]) -> list[n
         while model >= 0 and model not in needed:
             needed.add(model)
             model = int(scene.parents[model])
-    known: dict[int, _World] = {}
+    worlds: dict[int, _World] = {}
     for model in sorted(needed):  # parents come first
         parent = int(scene.parents[model])
-        known[model] = _placed(scene.models[model], model, values, known[parent] if parent >= 0 else None)
-    return [known[model].matrix for model in chosen]
+        worlds[model] = _placed(scene.models[model], model, values, worlds[parent] if parent >= 0 else None)
+    return [worlds[model].matrix for model in chosen]
 
 
 def _placed(model: FbxObject, index: int, values: Values, parent: _World | None) -> _World:

@@ -81,12 +81,12 @@ def meshes_of(character: Character) -> tuple[Document, list[Mesh]]:
     carry_images(source.document, builder)
     carrier, carried = MeshCarrier(source, builder), []
     for part, index in source.placed():
-        if any(len(some) for group in part.groups for some in group.triangles):
+        if any(len(triangles) for group in part.groups for triangles in group.triangles):
             node = source.document.item("nodes", part.node)
             mesh = carrier.mesh(part, character.vertices[index], index)
             carried.append((str(node.get("name") or f"mesh_{part.mesh}"), part, index, mesh))
     document = builder.document(Path(character.name))
-    return document, [_mesh(document, *one) for one in carried]
+    return document, [_mesh(document, *entry) for entry in carried]
 
 
 def _mesh(document: Document, name: str, part: MeshPart, index: np.ndarray, mesh: dict[str, Any]) -> Mesh:
@@ -109,8 +109,8 @@ def _mesh(document: Document, name: str, part: MeshPart, index: np.ndarray, mesh
         start += count
     names = _names(mesh, max(map(len, deltas), default=0))
     shapes = [
-        Shape(label, np.concatenate([some[k] if k < len(some) else np.zeros((len(group.vertices), 3))
-                                     for some, group in zip(deltas, part.groups, strict=True)]), amount)
+        Shape(label, np.concatenate([delta[k] if k < len(delta) else np.zeros((len(group.vertices), 3))
+                                     for delta, group in zip(deltas, part.groups, strict=True)]), amount)
         for k, (label, amount) in enumerate(names)
     ]  # fmt: skip
     sets = [
@@ -153,12 +153,12 @@ _Rows = list[tuple[dict[str, Any], int, np.ndarray]]
 def _layer(document: Document, rows: _Rows, name: str, width: int, default: np.ndarray) -> Layer:
     """An attribute of all primitives; those that share it share its values."""
     values: list[np.ndarray] = []
-    corners, known, total = [], {}, 0
+    corners, numbers, total = [], {}, 0
     for entry, count, triangles in rows:
         accessor = entry["attributes"].get(name)
         key = accessor if type(accessor) is int and document.count(accessor) == count else -1 - count
-        if key not in known:
-            known[key] = total
+        if key not in numbers:
+            numbers[key] = total
             if key >= 0:
                 found = document.accessor(key, ("VEC2", "VEC3", "VEC4")).astype(np.float64)[:, :width]
                 missing = np.tile(default[found.shape[1] :], (count, 1))
@@ -166,7 +166,7 @@ def _layer(document: Document, rows: _Rows, name: str, width: int, default: np.n
             else:
                 values.append(np.tile(default, (count, 1)))
             total += count
-        corners.append(triangles + known[key])
+        corners.append(triangles + numbers[key])
     return Layer(np.concatenate(values), np.concatenate(corners))
 
 
@@ -268,10 +268,10 @@ class Look:
 
     def _add_texture(self, index: int, coordinates: int) -> int | None:
         entry = self.document.item("textures", index)
-        found = _picture(self.document, entry)
-        if found is None:
+        picture = _picture(self.document, entry)
+        if picture is None:
             return None
-        image, data, suffix = found
+        image, data, suffix = picture
         file = f"image_{image}{suffix}"
         sampler = self.document.item("samplers", entry["sampler"]) if "sampler" in entry else {}
         wrap = [1 if sampler.get(f"wrap{axis}") == _CLAMP else 0 for axis in "ST"]
@@ -306,10 +306,10 @@ def _picture(document: Document, texture: dict[str, Any]) -> tuple[int, bytes, s
         number = webp["EXT_texture_webp"].get("source", number)
     if type(number) is not int:
         return None
-    found = document.image(number)
-    if not found:
+    stored = document.image(number)
+    if not stored:
         return None
-    image = embeddable(bytes(found))
+    image = embeddable(bytes(stored))
     return None if image is None else (number, image[0], IMAGE_SUFFIXES[image[1]])
 
 
@@ -424,11 +424,11 @@ def _add_skin(objects: Objects, geometry: int, name: str, mesh: Mesh, bones: Bon
     binds = file_matrices(bones.bind, objects.frame)
     for bone in np.unique(which).tolist():
         first, last = np.searchsorted(which, [bone, bone + 1])
-        own, column = np.unique(rows[first:last], return_inverse=True)  # a file may name a joint twice
+        used, column = np.unique(rows[first:last], return_inverse=True)  # a file may name a joint twice
         cluster = objects.add(
             "Deformer", bones.names[bone], "Cluster", element("Version", 100), element("UserData", "", ""),
-            element("Indexes", own.astype(np.int32)),
-            element("Weights", np.bincount(column, shares[first:last], len(own))),
+            element("Indexes", used.astype(np.int32)),
+            element("Weights", np.bincount(column, shares[first:last], len(used))),
             element("Transform", np.linalg.inv(binds[bone]).T.reshape(-1)),
             element("TransformLink", binds[bone].T.reshape(-1)), label="SubDeformer",
         )  # fmt: skip

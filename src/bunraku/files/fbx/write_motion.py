@@ -260,13 +260,13 @@ def _moving(objects: Objects, tracks: Mapping[str, Track], bones: Bones, joints:
             ("Lcl Translation", "T", placed, base_place[bone], small),
             ("Lcl Rotation", "R", turned, np.zeros(3), STILL_DEGREES),
         ):
-            if max(np.abs(one[:, bone] - base).max() for one in values.values()) <= still:
+            if max(np.abs(animated[:, bone] - base).max() for animated in values.values()) <= still:
                 continue
-            own = _Curves(joint, title, short, base)
-            for name, one in values.items():
-                flat = np.ptp(one[:, bone], axis=0).max() <= still
-                own.values[name] = np.tile(one[:1, bone], (len(one), 1)) if flat else one[:, bone]
-            out.append(own)
+            curves = _Curves(joint, title, short, base)
+            for name, animated in values.items():
+                flat = np.ptp(animated[:, bone], axis=0).max() <= still
+                curves.values[name] = np.tile(animated[:1, bone], (len(animated), 1)) if flat else animated[:, bone]
+            out.append(curves)
     return out
 
 

@@ -78,8 +78,8 @@ def write_elements(file: BinaryIO, elements: Sequence[Element]) -> None:
         ValueError: It would have more than 4 GiB.
     """
     out = bytearray(_MAGIC + struct.pack("<I", VERSION))
-    for one in elements:
-        _append(out, one)
+    for element in elements:
+        _append(out, element)
         if len(out) > 0xFFFFFFFF:
             raise ValueError("the FBX would have more than 4 GiB")
     out += _RECORD_END + _FOOTER_ID + bytes(4)
@@ -185,7 +185,7 @@ class Objects:
         taken = self._names.setdefault(among, set())
         name = name.replace("\x00", " ")
         chosen = next(
-            one for one in (name, *(f"{name}_{number}" for number in range(1, len(taken) + 2))) if one not in taken
+            free for free in (name, *(f"{name}_{number}" for number in range(1, len(taken) + 2))) if free not in taken
         )
         taken.add(chosen)
         return chosen
@@ -224,7 +224,7 @@ class Objects:
     def _settings(self, stop: int) -> Element:
         vertical, front, sign = (1, 2, 1) if self.up == "+y" else (2, 1, -1)
         scale = 100 * UNITS[self.unit]
-        rate = next((code for known, code in _RATES.items() if abs(known - self.fps) < 1e-6), _OTHER_RATE)
+        rate = next((code for rate_of_code, code in _RATES.items() if abs(rate_of_code - self.fps) < 1e-6), _OTHER_RATE)
         return properties(
             prop("UpAxis", "int", vertical), prop("UpAxisSign", "int", 1),
             prop("FrontAxis", "int", front), prop("FrontAxisSign", "int", sign),
@@ -237,7 +237,7 @@ class Objects:
         )  # fmt: skip
 
     def _definitions(self) -> list[Element]:
-        counts = Counter(one.name for one in self._objects)
+        counts = Counter(entry.name for entry in self._objects)
         types = [element("ObjectType", name, children=[element("Count", count)]) for name, count in counts.items()]
         settings = element("ObjectType", "GlobalSettings", children=[element("Count", 1)])
         return [element("Version", 100), element("Count", 1 + len(self._objects)), settings, *types]

@@ -83,22 +83,22 @@ IMAGE_SUFFIXES = {"image/png": ".png", "image/jpeg": ".jpg"}
 
 def used_extensions(tree: dict[str, object]) -> None:
     """Make the lists of extensions name those that the tree still uses, and no others."""
-    found: set[str] = set()
+    extensions: set[str] = set()
     stack: list[Any] = [tree]
     while stack:
         item = stack.pop()
         if isinstance(item, dict):
             if isinstance(item.get("extensions"), dict):
-                found.update(item["extensions"])
+                extensions.update(item["extensions"])
             stack += {**item, "extras": None}.values()
         elif isinstance(item, list):
             stack.extend(item)
     used, needed = (tree.pop(key, []) for key in ("extensionsUsed", "extensionsRequired"))
     if isinstance(used, list) and "KHR_mesh_quantization" in used:
-        found.add("KHR_mesh_quantization")
-    required = [name for name in needed if name in found] if isinstance(needed, list) else []
-    if found:
-        tree["extensionsUsed"] = sorted(found)
+        extensions.add("KHR_mesh_quantization")
+    required = [name for name in needed if name in extensions] if isinstance(needed, list) else []
+    if extensions:
+        tree["extensionsUsed"] = sorted(extensions)
     if required:
         tree["extensionsRequired"] = required
 
@@ -318,8 +318,8 @@ def clip_number(path: Path, names: list[str], clip: int | str) -> int:
 
 def free_name(name: str, taken: Iterable[str]) -> str:
     """The name, with a number after it where it is taken."""
-    known, number, out = set(taken), 1, name
-    while out in known:
+    names, number, out = set(taken), 1, name
+    while out in names:
         number += 1
         out = f"{name}-{number}"
     return out
@@ -344,7 +344,7 @@ def carry_clips(
     Returns:
         The names of what was added; a clip without a channel is not.
     """
-    known = [str(clip.get("name")) for clip in builder.tree.get("animations", [])]
+    names = [str(clip.get("name")) for clip in builder.tree.get("animations", [])]
     added: list[str] = []
     carried: dict[tuple[int, tuple[str, ...]], int] = {}
 
@@ -379,8 +379,8 @@ def carry_clips(
             samplers.append(sampler)
         if channels:
             given = clip.get("name") or unnamed
-            name = free_name(str(given), known) if given else ""
-            known.append(name)
+            name = free_name(str(given), names) if given else ""
+            names.append(name)
             added.append(name)
             kept = {"extras": clip["extras"]} if isinstance(clip.get("extras"), dict) else {}
             named = {"name": name} if name else {}

@@ -42,7 +42,7 @@ def merge_documents(paths: Sequence[Path], path: Path, *, only: Collection[str] 
     Raises:
         FormatError: A file is broken or holds no clip, or is of another character.
     """
-    base, *others = [_opened(some) for some in paths]
+    base, *others = [_opened(file) for file in paths]
     builder = whole_document(base)
     for document in others:
         if not document.items("animations"):
@@ -87,9 +87,9 @@ def _same_nodes(base: Document, other: Document) -> dict[int, int]:
     Raises:
         FormatError: One has no counterpart, or rests elsewhere.
     """
-    own, theirs = _lines(base), _lines(other)
-    by_line = {line: node for node, line in reversed(list(enumerate(own)))}
-    short = [line[-1] for line in own]
+    ours, theirs = _lines(base), _lines(other)
+    by_line = {line: node for node, line in reversed(list(enumerate(ours)))}
+    short = [line[-1] for line in ours]
     out: dict[int, int] = {}
     for clip in other.items("animations"):
         for channel in other.objects(clip, "channels"):
@@ -98,16 +98,16 @@ def _same_nodes(base: Document, other: Document) -> dict[int, int]:
             if type(node) is not int or not 0 <= node < len(theirs) or node in out:
                 continue
             line = theirs[node]
-            found = by_line.get(line)
-            if found is None and short.count(line[-1]) == 1:
-                found = short.index(line[-1])
-            if found is None:
+            same = by_line.get(line)
+            if same is None and short.count(line[-1]) == 1:
+                same = short.index(line[-1])
+            if same is None:
                 raise FormatError(
                     other.path,
-                    f"its clip moves '{line[-1][:60]}', which {base.path.name} has not: it is of another character; "
+                    f"its clip moves '{line[-1][:60]}', which {base.path.name} lacks: it is of another character; "
                     "put its motion on this one with `bunraku transfer`",
                 )
-            out[node] = found
+            out[node] = same
     _check_rest(base, other, out)
     return out
 
@@ -128,17 +128,17 @@ def _check_rest(base: Document, other: Document, nodes: dict[int, int]) -> None:
     for document in (base, other):
         tree = read_nodes(document)
         skins = read_skins(document, tree)
-        found: dict[int, np.ndarray] = {}
+        positions: dict[int, np.ndarray] = {}
         for matrices, slots in zip(skins.inverse, skins.slots, strict=True):
             rests = np.linalg.pinv(matrices)[:, :3, 3]
-            found |= {skins.nodes[joint]: rest for joint, rest in zip(slots.tolist(), rests, strict=False)}
-        places.append(found)
+            positions |= {skins.nodes[joint]: rest for joint, rest in zip(slots.tolist(), rests, strict=False)}
+        places.append(positions)
     pairs = [(places[0][nodes[node]], rest) for node, rest in places[1].items() if nodes.get(node) in places[0]]
     if len(pairs) < 2:
         return
-    own, theirs = (np.array(some) for some in zip(*pairs, strict=True))
-    own, theirs = own - own.mean(axis=0), theirs - theirs.mean(axis=0)
-    if np.abs(own - theirs).max() > SAME_BONES * max(float(np.ptp(own, axis=0).max()), 1e-9):
+    ours, theirs = (np.array(points) for points in zip(*pairs, strict=True))
+    ours, theirs = ours - ours.mean(axis=0), theirs - theirs.mean(axis=0)
+    if np.abs(ours - theirs).max() > SAME_BONES * max(float(np.ptp(ours, axis=0).max()), 1e-9):
         raise FormatError(
             other.path,
             f"its bones have the names of those of {base.path.name} and rest elsewhere: it is of another character; "
@@ -215,8 +215,8 @@ class Tracks:
         builder.add("animations", clip)
 
     def _column(self, joint: int, part: slice, rows: int) -> bytes:
-        whole = np.memmap(self.file, "<f4", "r", shape=(self.frames, self.joints, 7))
-        return np.ascontiguousarray(whole[:rows, joint, part]).tobytes()
+        stored = np.memmap(self.file, "<f4", "r", shape=(self.frames, self.joints, 7))
+        return np.ascontiguousarray(stored[:rows, joint, part]).tobytes()
 
 
 def write_stretches(
@@ -257,15 +257,15 @@ def write_stretches(
         else:
             raise OptionError("vertices that move on their own go into clips of one pass; leave out --apparel")
         tracks = Tracks(file, len(nodes), first.fps, rate)
-        some: AnimatedCharacter | None = first
-        while some is not None:
-            start = 0 if some is first else 1
-            if isinstance(some, RigAnimation) and rig is not None:
-                translations, rotations = bone_tracks(rig.local(some))
+        stretch: AnimatedCharacter | None = first
+        while stretch is not None:
+            start = 0 if stretch is first else 1
+            if isinstance(stretch, RigAnimation) and rig is not None:
+                translations, rotations = bone_tracks(rig.local(stretch))
             else:
-                translations, rotations = joint_tracks(some.handles.positions, some.motion)
+                translations, rotations = joint_tracks(stretch.handles.positions, stretch.motion)
             tracks.add(translations[start:], rotations[start:])
-            some = next(coming, None)
+            stretch = next(coming, None)
         tracks.write(builder, nodes, label, rate)
         if rig is not None and rig.source is not None:
             listed = rig.source.document.items("nodes")

@@ -132,8 +132,8 @@ def _image_of(texture: dict[str, object]) -> Any:
 def _extension(owner: dict[str, object], name: str) -> dict[str, Any]:
     """The data of an extension of an object, empty where it is not there."""
     extensions = owner.get("extensions") or {}
-    said = extensions.get(name) if isinstance(extensions, dict) else None
-    return said if isinstance(said, dict) else {}
+    extension = extensions.get(name) if isinstance(extensions, dict) else None
+    return extension if isinstance(extension, dict) else {}
 
 
 def _decode_all(document: Document, parts: tuple[MeshPart, ...]) -> dict[int, np.ndarray | None]:
@@ -206,7 +206,7 @@ def _size(data: Any) -> tuple[int, int]:
                         return whole.width * whole.height, 6 * whole.width * whole.height + 4 * pixels
                 each = {"1": 1, "L": 1, "P": 1}.get(image.mode, 4)
                 return pixels, pixels * each * (2 if image.format == "WEBP" else 1)
-    except Exception:  # an image that cannot be decoded is no reason to refuse the character
+    except Exception:  # an image that cannot be decoded is not a reason to refuse the character
         return 0, 0
 
 

@@ -48,7 +48,7 @@ COMPONENT_TYPES: dict[int, np.dtype[Any]] = {
 }
 ELEMENT_SIZES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 MAX_ELEMENTS = 50_000_000
-"""Most elements of one accessor: one may be declared without any data behind it, so the file's size is no bound."""
+"""Most elements of one accessor: one may be declared without any data, so the file's size does not bound it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ class Document:
         return self._own + needed <= room(self._own)
 
     def check_memory(self, needed: int) -> None:
-        """Raise FormatError if so many bytes beside the file itself are too much for a file of this size or for the
+        """Raise FormatError if this many bytes beside the file itself are too much for a file of this size or for the
         machine.
         """
         if not self.has_room(needed):
@@ -106,8 +106,8 @@ class Document:
     @property
     def extensions(self) -> dict[str, Any]:
         """The extensions of the whole document, empty where it has none."""
-        found = self.tree.get("extensions")
-        return found if isinstance(found, dict) else {}
+        extensions = self.tree.get("extensions")
+        return extensions if isinstance(extensions, dict) else {}
 
     def items(self, kind: str) -> list[dict[str, Any]]:
         """A top-level list of the document, empty where it has none."""
@@ -235,17 +235,17 @@ class Document:
 
     def _sparse(self, sparse: dict[str, object], values: np.ndarray, dtype: np.dtype) -> np.ndarray:
         count = self.integer(sparse, "count", high=len(values))
-        where, what = sparse.get("indices"), sparse.get("values")
+        where, changed = sparse.get("indices"), sparse.get("values")
         if (
             not isinstance(where, dict)
-            or not isinstance(what, dict)
+            or not isinstance(changed, dict)
             or where.get("componentType") not in (5121, 5123, 5125)
         ):
             self.broken("a sparse accessor lacks its indices or values")
         rows = self._elements(where, where.get("bufferView"), COMPONENT_TYPES[where["componentType"]], count, 1)[:, 0]
         if count and int(rows.max()) >= len(values):
             self.broken("a sparse accessor replaces elements that do not exist")
-        values[rows] = self._elements(what, what.get("bufferView"), dtype, count, values.shape[1])
+        values[rows] = self._elements(changed, changed.get("bufferView"), dtype, count, values.shape[1])
         return values
 
 

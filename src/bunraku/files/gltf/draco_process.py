@@ -36,13 +36,13 @@ def main() -> None:
 
 
 def limit_memory(more: int) -> None:
-    """Let this process take so many bytes more than it has; systems without such limits are left alone."""
+    """Let this process take this many bytes more than it has; systems without such limits are left alone."""
     try:
         import resource
 
         with open("/proc/self/statm", encoding="ascii") as file:
-            own = int(file.read().split()[0]) * resource.getpagesize()
-        resource.setrlimit(resource.RLIMIT_AS, (own + more, own + more))
+            used = int(file.read().split()[0]) * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_AS, (used + more, used + more))
     except (ImportError, OSError, ValueError):
         pass
 

@@ -190,7 +190,7 @@ def read_part(document: Document, tree: NodeTree, skins: SkinJoints, node: int, 
         raw = rest_positions(document, entry, mesh, primitives[members[0]])
         triangles = tuple(primitive_triangles(document, primitives[member], len(raw)) for member in members)
         if mirrored:
-            triangles = tuple(np.ascontiguousarray(some[:, [0, 2, 1]]) for some in triangles)
+            triangles = tuple(np.ascontiguousarray(corners[:, [0, 2, 1]]) for corners in triangles)
         if skin is not None and "JOINTS_0" in attributes and "WEIGHTS_0" in attributes:
             slots, weights, repaired = _influences(document, attributes, raw, len(skins.slots[skin]))
             vertices, transform = _skinned(raw, slots, weights, skins.bind[skin])
@@ -238,7 +238,7 @@ def rest_positions(document: Document, node: dict[str, object], mesh: int, primi
 
 def check_size(document: Document, nodes: list[int]) -> None:
     """Raise FormatError where the nodes of a document place too many vertices, triangles or primitives; many may place
-    one mesh, so the file's size is no bound.
+    one mesh, so the file's size does not bound it.
     """
     sizes: dict[Any, np.ndarray] = {}
     total = np.zeros(5, dtype=object)
@@ -265,7 +265,7 @@ def check_size(document: Document, nodes: list[int]) -> None:
 
 
 def _sizes(document: Document, mesh: dict[str, object], weighted: int) -> np.ndarray:
-    """Vertices, corners, primitives and influences of a mesh with so many weights of morph targets, and vertices
+    """Vertices, corners, primitives and influences of a mesh with this many weights of morph targets, and vertices
     counted as often as they are used.
     """
     vertices = corners = influences = work = 0
@@ -293,10 +293,10 @@ def rigid_joints(tree: NodeTree, skins: SkinJoints) -> np.ndarray:
     """
     if not skins.nodes:
         return np.zeros(len(tree.parents), int)
-    found = tree.nearest({node: joint for joint, node in enumerate(skins.nodes)})
+    joints = tree.nearest({node: joint for joint, node in enumerate(skins.nodes)})
     above = tree.parents[skins.nodes]
-    free = np.flatnonzero((above < 0) | (found[above] < 0))
-    return np.where(found >= 0, found, int(free[0]) if len(free) else 0)
+    free = np.flatnonzero((above < 0) | (joints[above] < 0))
+    return np.where(joints >= 0, joints, int(free[0]) if len(free) else 0)
 
 
 def _influences(

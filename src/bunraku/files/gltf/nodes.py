@@ -52,10 +52,10 @@ class NodeTree:
         shape (M,).
         """
         parents = self.parents.tolist()
-        found = [-1] * len(parents)
+        owners = [-1] * len(parents)
         for node in self.order:
-            found[node] = chosen[node] if node in chosen else found[parents[node]] if parents[node] >= 0 else -1
-        return np.array(found, int)
+            owners[node] = chosen[node] if node in chosen else owners[parents[node]] if parents[node] >= 0 else -1
+        return np.array(owners, int)
 
     def depths(self) -> np.ndarray:
         """How many nodes stand above each, shape (M,)."""
@@ -89,7 +89,7 @@ def posed_skins(skins: SkinJoints, tree: NodeTree) -> SkinJoints:
     """The joints with the nodes in another pose."""
     nodes = np.array(skins.nodes, int)
     bind = [tree.world[nodes[slots]] @ inverse for slots, inverse in zip(skins.slots, skins.inverse, strict=True)]
-    mirrored = [bool(np.linalg.det(some.mean(axis=0)[:3, :3]) < 0) for some in bind]
+    mirrored = [bool(np.linalg.det(matrices.mean(axis=0)[:3, :3]) < 0) for matrices in bind]
     return replace(skins, bind=bind, mirrored=mirrored)
 
 
@@ -208,9 +208,9 @@ def bind_pose(document: Document, tree: NodeTree, skins: SkinJoints) -> NodeTree
             return tree
         nodes, inverse = [nodes[i] for i in good], inverse[good]
         bind = np.linalg.inv(inverse)
-        known = [i for i, node in enumerate(nodes) if node in fixed]
-        if known:
-            matrix: np.ndarray | None = fixed[nodes[known[0]]] @ inverse[known[0]]
+        bound = [i for i, node in enumerate(nodes) if node in fixed]
+        if bound:
+            matrix: np.ndarray | None = fixed[nodes[bound[0]]] @ inverse[bound[0]]
         else:
             visited += len(tree.parents)
             if visited > MOST_VISITS:
@@ -224,7 +224,7 @@ def bind_pose(document: Document, tree: NodeTree, skins: SkinJoints) -> NodeTree
         return tree
     world = _carried(tree, fixed)
     joints = list(fixed)
-    before, after = (float(np.ptp(some[joints, :3, 3], axis=0).max()) for some in (tree.world, world))
+    before, after = (float(np.ptp(worlds[joints, :3, 3], axis=0).max()) for worlds in (tree.world, world))
     if not np.isfinite(world).all() or not before <= GROWTH * after or not after <= GROWTH * before:
         return tree
     return NodeTree(tree.parents, world, tree.scene, tree.local)
@@ -307,11 +307,11 @@ def _facing(placement: np.ndarray, placed: np.ndarray, target: np.ndarray, root:
     which is what viewers draw, shape (4, 4). The mean rotation of all joints decides: clips rotate single limbs any
     way, but all joints one way only with the whole body.
     """
-    own, want = (
-        some[:, :3, :3] / np.cbrt(np.abs(np.linalg.det(some[:, :3, :3])) + 1e-30)[:, None, None]
-        for some in (placed, target)
+    ours, want = (
+        points[:, :3, :3] / np.cbrt(np.abs(np.linalg.det(points[:, :3, :3])) + 1e-30)[:, None, None]
+        for points in (placed, target)
     )
-    change = np.einsum("jab,jcb->ac", want, own)
+    change = np.einsum("jab,jcb->ac", want, ours)
     turn = np.eye(4)
     turn[:3, :3] = max(
         (upright_rotation(*axes) for axes in ORIENTATIONS), key=lambda some: float((some * change).sum())
@@ -325,13 +325,13 @@ def _size_ratio(placed: np.ndarray, target: np.ndarray, pairs: list[tuple[int, i
     axes are.
     """
     child, parent = np.array([i for i, _ in pairs], int), np.array([j for _, j in pairs], int)
-    own = np.linalg.norm(placed[child, :3, 3] - placed[parent, :3, 3], axis=1)
+    lengths = np.linalg.norm(placed[child, :3, 3] - placed[parent, :3, 3], axis=1)
     want = np.linalg.norm(target[child, :3, 3] - target[parent, :3, 3], axis=1)
-    clear = (own > 1e-3 * own.max(initial=0)) & (want > 1e-3 * want.max(initial=0))
+    clear = (lengths > 1e-3 * lengths.max(initial=0)) & (want > 1e-3 * want.max(initial=0))
     if not clear.any():
-        volumes = [abs(np.linalg.det(some[:, :3, :3])).mean() for some in (placed, target)]
+        volumes = [abs(np.linalg.det(matrices[:, :3, :3])).mean() for matrices in (placed, target)]
         return float(np.cbrt(volumes[0] / max(volumes[1], 1e-30)))
-    return float(np.median(own[clear] / want[clear]))
+    return float(np.median(lengths[clear] / want[clear]))
 
 
 MAX_SECONDS = 600.0
@@ -402,26 +402,26 @@ def node_worlds(
     """World transforms of the chosen nodes at each moment, shape (N, J, 4, 4)."""
     nodes = document.items("nodes")
     moving = {node for node, _ in curves}
-    known: dict[int, np.ndarray] = {}
+    worlds: dict[int, np.ndarray] = {}
 
     def world(node: int) -> np.ndarray:
         chain = []
-        while node >= 0 and node not in known:
+        while node >= 0 and node not in worlds:
             chain.append(node)
             node = int(tree.parents[node])
-        if (len(known) + len(chain)) * len(moments) > MAX_WORLDS:
+        if (len(worlds) + len(chain)) * len(moments) > MAX_WORLDS:
             document.fail(
-                f"its clip moves {len(known) + len(chain)} nodes in {len(moments)} frames, which are too many; cut it"
+                f"its clip moves {len(worlds) + len(chain)} nodes in {len(moments)} frames, which are too many; cut it"
             )
         for link in reversed(chain):
             above = int(tree.parents[link])
             if link not in moving:  # its default place, carried along by what is above it
                 rest = tree.local[link]
-                known[link] = known[above] @ rest if above >= 0 else np.broadcast_to(rest, (len(moments), 4, 4))
+                worlds[link] = worlds[above] @ rest if above >= 0 else np.broadcast_to(rest, (len(moments), 4, 4))
             else:
                 local = _local(document, nodes[link], link, curves, moments)
-                known[link] = known[above] @ local if above >= 0 else front_matrix(document) @ local
-        return known[chain[0]] if chain else known[node]
+                worlds[link] = worlds[above] @ local if above >= 0 else front_matrix(document) @ local
+        return worlds[chain[0]] if chain else worlds[node]
 
     return np.stack([world(node) for node in chosen], axis=1)
 

@@ -86,8 +86,8 @@ def _draco_unpacked(document: Document, meshes: list[bytes]) -> dict[str, np.nda
     """Packed meshes as `draco_process` unpacks them."""
     from zipfile import BadZipFile
 
-    own = document.size or sum(map(len, meshes))
-    head = json.dumps({"bytes": max(room(own) - own, 0), "lengths": [len(mesh) for mesh in meshes]}) + "\n"
+    size = document.size or sum(map(len, meshes))
+    head = json.dumps({"bytes": max(room(size) - size, 0), "lengths": [len(mesh) for mesh in meshes]}) + "\n"
     script = Path(__file__).with_name("draco_process.py")
     try:
         done = subprocess.run(
@@ -164,11 +164,11 @@ def unpack_views(document: Document) -> None:
     packed: list[tuple[int, dict[str, Any], dict[str, Any]]] = []
     for index, view in enumerate(document.items("bufferViews")):
         extensions = view.get("extensions")
-        found = [extensions.pop(name) for name in MESHOPT if name in extensions] if isinstance(extensions, dict) else []
-        if found and not _plain(document, view):
-            if not isinstance(found[0], dict):
+        views = [extensions.pop(name) for name in MESHOPT if name in extensions] if isinstance(extensions, dict) else []
+        if views and not _plain(document, view):
+            if not isinstance(views[0], dict):
                 document.broken(f"bufferViews[{index}] is compressed by nothing")
-            packed.append((index, view, found[0]))
+            packed.append((index, view, views[0]))
     _forget(document, MESHOPT)
     if not packed:
         return
@@ -319,7 +319,7 @@ def _glb_chunks(path: Path, data: bytes) -> tuple[memoryview, memoryview | None]
         raise FormatError(
             path, f"the GLB should have {total} bytes but has {len(data)}; it is truncated, export or download it again"
         )
-    whole, offset = memoryview(data)[:total], 12
+    content, offset = memoryview(data)[:total], 12
     chunks: dict[int, memoryview] = {}
     while offset + 8 <= total:
         length, kind = struct.unpack_from("<II", data, offset)
@@ -327,7 +327,7 @@ def _glb_chunks(path: Path, data: bytes) -> tuple[memoryview, memoryview | None]
             raise FormatError(
                 path, "a chunk of the GLB is longer than the file; it is truncated, export or download it again"
             )
-        chunks.setdefault(kind, whole[offset + 8 : offset + 8 + length])
+        chunks.setdefault(kind, content[offset + 8 : offset + 8 + length])
         offset += 8 + length + (-length % 4)
     if 0x4E4F534A not in chunks:
         raise FormatError(path, "the GLB has no JSON chunk; it is broken, export it again")

@@ -139,8 +139,8 @@ def _rig(document: Document, tree: NodeTree, skins: SkinJoints, parts: tuple[Mes
         )
         start = stop
     above = tree.parents[skins.nodes]
-    found = tree.nearest({node: joint for joint, node in enumerate(skins.nodes)})
-    parents = np.where(above >= 0, found[above], -1)
+    joints = tree.nearest({node: joint for joint, node in enumerate(skins.nodes)})
+    parents = np.where(above >= 0, joints[above], -1)
     nodes = document.items("nodes")
     names = tuple(str(nodes[node].get("name") or f"joint_{joint}")[:200] for joint, node in enumerate(skins.nodes))
     return Rig(names, parents, tree.world[skins.nodes], indices, weights)
@@ -177,7 +177,7 @@ def scaled(character: Character, factor: float) -> Character:
     rig, source = character.rig, character.source
     if character.avatar is not None:
         raise OptionError(
-            f"{character.name}: the physics of MMD and VRM files hangs on their unit; leave out the unit, or say m"
+            f"{character.name}: the physics of MMD and VRM files depends on their unit; leave out the unit, or say m"
         )
     matrix = np.diag([factor, factor, factor, 1.0])
     return replace(

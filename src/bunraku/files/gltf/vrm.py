@@ -17,7 +17,7 @@ from bunraku.files.gltf.nodes import NodeTree, read_nodes
 
 __all__ = ["SPRINGS", "add_humanoid", "add_spring_extras", "add_springs", "read_vrm"]
 
-MOST = 10_000  # joints of springs, and colliders: more are no avatar's
+MOST = 10_000  # joints of springs, and colliders: no avatar has more
 LONGEST = 300  # joints of one spring: what simulates them takes memory by the square of it
 _log = logging.getLogger(__name__)
 
@@ -33,10 +33,10 @@ def read_vrm(document: Document) -> VrmModel | None:
     if not {"VRM", "VRMC_vrm"} & extensions.keys():
         return None
     reader = _Reader(document, read_nodes(document))
-    found = reader.first(extensions["VRM"]) if "VRM" in extensions else reader.second(extensions)
-    for warning in found.warnings:
+    avatar = reader.first(extensions["VRM"]) if "VRM" in extensions else reader.second(extensions)
+    for warning in avatar.warnings:
         _log.warning("%s: %s", document.path, warning)
-    return found
+    return avatar
 
 
 class _Reader:
@@ -121,7 +121,7 @@ class _Reader:
                 _number(group, "dragForce", 0.4),
                 _number(group, "hitRadius", 0.02),
             )  # fmt: skip
-            own = self.group_numbers(group.get("colliderGroups"), len(groups), group.get("comment", ""))
+            groups_of_spring = self.group_numbers(group.get("colliderGroups"), len(groups), group.get("comment", ""))
             for root in _list(group.get("bones")):
                 if self.node(root) < 0:
                     self.note("springs begin at nodes that do not exist and are left out", root)
@@ -131,7 +131,7 @@ class _Reader:
                         self.note(f"springs are longer than {LONGEST} joints and are cut there", self.called(root))
                     joints = tuple(VrmSpringJoint(node, *values) for node in chain[:LONGEST])
                     spring = VrmSpring(
-                        str(group.get("comment") or ""), joints, own, self.node(group.get("center")), True
+                        str(group.get("comment") or ""), joints, groups_of_spring, self.node(group.get("center")), True
                     )
                     self.spring(springs, spring)
         return self.model("0.x", _object(data.get("meta")).get("title"), humanoid, springs, colliders, groups)
@@ -158,8 +158,8 @@ class _Reader:
                 self.note(f"springs beyond {MOST:,} joints are left out")
                 break
             joints = self.joints(_objects(entry.get("joints")), name)
-            own = self.group_numbers(entry.get("colliderGroups"), len(groups), name)
-            self.spring(springs, VrmSpring(name, joints, own, self.node(entry.get("center", -1))))
+            groups_of_spring = self.group_numbers(entry.get("colliderGroups"), len(groups), name)
+            self.spring(springs, VrmSpring(name, joints, groups_of_spring, self.node(entry.get("center", -1))))
         return self.model("1.0", _object(data.get("meta")).get("name"), humanoid, springs, colliders, groups)
 
     def bone(self, humanoid: dict[str, int], name: Any, node: Any) -> None:
@@ -190,7 +190,7 @@ class _Reader:
         if new.node < 0:
             self.note("colliders are on nodes that do not exist and are left out")
         elif not all(map(math.isfinite, numbers)) or new.radius < 0:
-            self.note("colliders have a size that is negative or no number and are left out", self.called(new.node))
+            self.note("colliders have a size that is negative or not a number and are left out", self.called(new.node))
         elif len(colliders) >= MOST:
             self.note(f"more than {MOST:,} colliders are left out")
         else:
@@ -253,9 +253,9 @@ class _Reader:
         return out
 
     def group_numbers(self, values: Any, count: int, name: Any) -> tuple[int, ...]:
-        found = _list(values)
-        good = tuple(value for value in found if type(value) is int and 0 <= value < count)
-        if len(good) < len(found):
+        numbers = _list(values)
+        good = tuple(value for value in numbers if type(value) is int and 0 <= value < count)
+        if len(good) < len(numbers):
             self.note("springs name groups of colliders that do not exist", name)
         return good
 
@@ -273,7 +273,7 @@ def _objects(value: Any) -> list[dict[str, Any]]:
 
 
 def _number(owner: dict[str, object], key: str, default: float) -> float:
-    """A number, NaN where it is none."""
+    """A number, NaN if it is not one."""
     value = owner.get(key, default)
     try:
         return float(value) if isinstance(value, int | float) and type(value) is not bool else math.nan
@@ -282,7 +282,7 @@ def _number(owner: dict[str, object], key: str, default: float) -> float:
 
 
 def _point(value: Any, default: float) -> np.ndarray:
-    """Three numbers from a list or from x, y, z; NaN where they are none."""
+    """Three numbers from a list or from x, y, z; NaN if they are not numbers."""
     if isinstance(value, list) and len(value) == 3:
         value = dict(zip("xyz", value, strict=True))
     if value is None:
@@ -294,7 +294,7 @@ def _point(value: Any, default: float) -> np.ndarray:
 
 _NAMES = dict(zip(HANDLE_NAMES, engine_names("vrm"), strict=True))
 _BONES = frozenset(name for handle, name in _NAMES.items() if name != handle or handle in ("neck", "head"))
-"""The bones of a humanoid among the joints that the 30 handles become; tail, wings and face are none."""
+"""The bones of a humanoid among the joints that the 30 handles become; tail, wings and face are not among them."""
 _NEEDED = frozenset(_NAMES[handle] for handle in REQUIRED)
 _ARMS = (("leftUpperArm", "leftHand", 1.0), ("rightUpperArm", "rightHand", -1.0))
 _ALONG = 0.9  # least cosine between an arm and the x axis in a T-pose

@@ -107,8 +107,8 @@ def read_vrma(path: Path, data: bytes) -> SkeletalMotion:
 
 
 def _extension(document: Document) -> dict[str, Any] | None:
-    found = document.extensions.get(EXTENSION)
-    return found if isinstance(found, dict) else None
+    extension = document.extensions.get(EXTENSION)
+    return extension if isinstance(extension, dict) else None
 
 
 def _motion(document: Document) -> SkeletalMotion:
@@ -158,8 +158,8 @@ def _sampled(
 
 def _bones(document: Document) -> dict[str, int]:
     """Node of each humanoid bone by VRM's name."""
-    found = _extension(document)
-    humanoid = found.get("humanoid") if found is not None else None
+    extension = _extension(document)
+    humanoid = extension.get("humanoid") if extension is not None else None
     listed = humanoid.get("humanBones") if isinstance(humanoid, dict) else None
     if not isinstance(listed, dict) or "hips" not in listed:
         document.fail(

@@ -98,11 +98,11 @@ def clip_handles(path: Path, character: Character) -> Handles:
             f"its joints are not the {len(HANDLE_NAMES)} handles of Bunraku; animate the character anew with `bunraku "
             "animate`",
         )
-    own = [
+    handles = [
         HANDLE_NAMES.index(name) if name in HANDLE_NAMES else -1 for name in rig.names
     ]  # -1 plays the part of another
-    free = iter(sorted(set(range(len(own))) - set(own)))
-    order = np.argsort([next(free) if slot < 0 else slot for slot in own])
+    free = iter(sorted(set(range(len(handles))) - set(handles)))
+    order = np.argsort([next(free) if slot < 0 else slot for slot in handles])
     weights = rig.dense_weights()[:, order]
     weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1e-9)
     played = np.array(roles, np.int64)[order]
@@ -295,8 +295,8 @@ def _add_part(
         if not np.array_equal(transform, np.eye(4)):
             node["matrix"] = transform.T.reshape(-1).tolist()
         return builder.add("nodes", node)
-    for group, own in part.split(index):
-        _add_influences(builder, mesh["primitives"], group, handles.weights[own])
+    for group, vertices in part.split(index):
+        _add_influences(builder, mesh["primitives"], group, handles.weights[vertices])
     inverse = np.tile(np.eye(4), (len(joints), 1, 1))
     inverse[:, :3, 3] = -handles.positions.astype(np.float64)
     stored = (inverse @ transform).transpose(0, 2, 1).reshape(-1, 16).astype(np.float32)

@@ -247,9 +247,9 @@ def _with_bones(
     while bones <= MOST_BONES and bones <= len(rest):
         if most is not None and bones * _bytes_of_bone(len(motion)) >= most:
             return None
-        found = decomposed(rest, posed, bones)
-        if found.error <= tolerance:
-            return _joined(animation, moving, found)
+        shapes = decomposed(rest, posed, bones)
+        if shapes.error <= tolerance:
+            return _joined(animation, moving, shapes)
         bones *= 2
     return None
 
@@ -270,12 +270,12 @@ def _joined(animation: Animation, moving: np.ndarray, found: RigidBones) -> Anim
     positions = found.weights.T @ rest / np.maximum(found.weights.sum(axis=0), 1e-9)[:, None]
     # R p + t = R (p - h) + h + s, so s = R h + t - h
     shifts = np.einsum("nbac,bc->nba", found.rotations, positions) + found.translations - positions
-    whole = HandleMotion(
+    joined = HandleMotion(
         translations=np.concatenate([motion.translations, shifts], axis=1),
         rotations=np.concatenate([motion.rotations, found.rotations], axis=1),
         root_translation=motion.root_translation, root_rotation=motion.root_rotation, fps=motion.fps,
     )  # fmt: skip
-    return Animation(animation.character, Handles(np.concatenate([handles.positions, positions]), weights), whole)
+    return Animation(animation.character, Handles(np.concatenate([handles.positions, positions]), weights), joined)
 
 
 @dataclass(frozen=True, eq=False)
@@ -314,10 +314,10 @@ def shapes_of_meshes(character: Character, moving: np.ndarray, shapes: np.ndarra
             continue
         kept = keeps_positions(part, character.vertices[index], character) and part.transform is not None
         back = np.linalg.inv(part.transform[:3, :3]) if kept and part.transform is not None else np.eye(3)
-        for group, own in part.split(numbering[index]):
-            rows = np.flatnonzero(own >= 0)
-            values = np.ascontiguousarray((shapes @ back.T)[:, own[rows]], "<f4")
-            out[-1].append(GroupShapes(group.primitives, len(own), rows, values))
+        for group, vertices in part.split(numbering[index]):
+            rows = np.flatnonzero(vertices >= 0)
+            values = np.ascontiguousarray((shapes @ back.T)[:, vertices[rows]], "<f4")
+            out[-1].append(GroupShapes(group.primitives, len(vertices), rows, values))
     return out
 
 
@@ -336,8 +336,8 @@ def before_skin(moved: PointAnimation, moving: np.ndarray, where: np.ndarray | N
     out = np.empty((len(moved.motion), len(moving), 3), np.float32)
     for start in range(0, len(moved.motion), CHUNK):
         cut = slice(start, start + CHUNK)
-        some = transforms[cut].astype(np.float64)
-        blend = (held @ some.reshape(len(some), -1, 12)).reshape(len(some), len(moving), 3, 4)
+        stay = transforms[cut].astype(np.float64)
+        blend = (held @ stay.reshape(len(stay), -1, 12)).reshape(len(stay), len(moving), 3, 4)
         left = where[cut] - np.einsum("nmab,mb->nma", blend[..., :3], rest) - blend[..., 3]
         out[cut] = np.einsum("nmab,nmb->nma", _inverses(blend[..., :3]), left)
     return out
@@ -364,13 +364,13 @@ def _add_targets(builder: GltfBuilder, moved: PointAnimation, moving: np.ndarray
         if not groups:
             continue
         mesh = builder.tree["meshes"][builder.tree["nodes"][node]["mesh"]]
-        own: dict[int, list[dict[str, int]]] = {}
+        targets: dict[int, list[dict[str, int]]] = {}
         for group in groups:
-            own |= dict.fromkeys(group.primitives, _targets(builder, group))
+            targets |= dict.fromkeys(group.primitives, _targets(builder, group))
         older = max((len(primitive.get("targets", [])) for primitive in mesh["primitives"]), default=0)
         present = [primitive for primitive in mesh["primitives"] if primitive]
-        for member, primitive in zip(sorted(own), present, strict=True):
-            primitive["targets"] = [*primitive.get("targets", []), *own[member]]
+        for member, primitive in zip(sorted(targets), present, strict=True):
+            primitive["targets"] = [*primitive.get("targets", []), *targets[member]]
         names = mesh.get("extras", {}).get("targetNames") if isinstance(mesh.get("extras"), dict) else None
         if isinstance(names, list) and len(names) == older:  # programs pass over lists of another length
             mesh["extras"]["targetNames"] = [*names, *(f"move_{shape}" for shape in range(len(found.shapes)))]

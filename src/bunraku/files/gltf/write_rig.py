@@ -121,11 +121,11 @@ class RigDocument:
     def of(cls, character: Character) -> RigDocument:
         """That of a character with a rig."""
         source = character.source
-        own = source if isinstance(source, Source) and _fits(source, character) else None
-        if own is None:
+        usable = source if isinstance(source, Source) and _fits(source, character) else None
+        if usable is None:
             return cls(*plain_rig(character), None, np.eye(4))
-        builder, nodes = _own_rig(own)
-        return cls(builder, nodes, own, _above_all(own, builder))
+        builder, nodes = _own_rig(usable)
+        return cls(builder, nodes, usable, _above_all(usable, builder))
 
     def local(self, animation: RigAnimation) -> np.ndarray:
         """Transform of each bone's node in its parent, shape (N, J, 4, 4)."""
@@ -175,11 +175,11 @@ def save_rig_clips(clips: Mapping[str, RigAnimation], path: Path, *, fps: float 
     check_output_folder(path)
     with writable(path, animation.character.name):
         written = RigDocument.of(animation.character)
-        builder, own = written.builder, written.source
+        builder, source = written.builder, written.source
         for name, clip in clips.items():
             add_bone_clip(builder, written.nodes, written.local(clip), clip.fps, rates[name], name)
-        if own:
-            carry_clips(own.document, builder, {node: node for node in range(len(own.document.items("nodes")))})
+        if source:
+            carry_clips(source.document, builder, {node: node for node in range(len(source.document.items("nodes")))})
     return finish_document(builder, path)
 
 
@@ -351,8 +351,8 @@ def _slots(source: Source, part: MeshPart) -> np.ndarray | None:
     if type(skin) is not int or not 0 <= skin < len(source.skins.slots):
         return None
     out = np.full(len(source.skins.nodes), -1)
-    own = source.skins.slots[skin]
-    out[own[::-1]] = np.arange(len(own))[::-1]
+    slots = source.skins.slots[skin]
+    out[slots[::-1]] = np.arange(len(slots))[::-1]
     return out
 
 
@@ -407,8 +407,8 @@ def plain_rig(character: Character) -> tuple[GltfBuilder, list[int]]:
     slots = np.arange(len(rest))
     for part, index in source.placed():
         mesh = carrier.mesh(part, character.vertices[index], index)
-        for group, own in part.split(index):
-            added = _influences(builder, rig.indices[own], rig.weights[own], slots)
+        for group, vertices in part.split(index):
+            added = _influences(builder, rig.indices[vertices], rig.weights[vertices], slots)
             for member in group.primitives:
                 mesh["primitives"][member]["attributes"].update(added)
         label = str(source.document.item("nodes", part.node).get("name") or f"mesh_{part.mesh}")

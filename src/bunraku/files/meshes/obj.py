@@ -187,7 +187,7 @@ def embeddable(image: Path | bytes) -> tuple[bytes, str] | None:
                     return None
                 packed = io.BytesIO()
                 picture.convert("RGBA" if "A" in picture.getbands() else "RGB").save(packed, "PNG")
-    except Exception:  # a texture that cannot be decoded is no reason to refuse the mesh
+    except Exception:  # a texture that cannot be decoded is not a reason to refuse the mesh
         return None
     return packed.getvalue(), "image/png"
 
@@ -212,7 +212,7 @@ def read_obj(path: Path, data: bytes) -> Character:
     corners, of_face, sizes, face_material = lines.corners(len(positions))
     uvs = _numbers(path, lines.uvs, (2, 3, 1), "a texture coordinate (vt)")
     normals = _numbers(path, lines.normals, (3,), "a normal (vn)")
-    for column, what, have in (
+    for column, kind, have in (
         (0, "vertex", len(positions)),
         (1, "texture coordinate", len(uvs)),
         (2, "normal", len(normals)),
@@ -220,7 +220,7 @@ def read_obj(path: Path, data: bytes) -> Character:
         low = 0 if column == 0 else -1
         if len(corners) and not low <= int(corners[:, column].min()) <= int(corners[:, column].max()) < have:
             raise FormatError(
-                path, f"a face uses {what} {int(corners[:, column].max()) + 1} but there are {have}; {BROKEN}"
+                path, f"a face uses {kind} {int(corners[:, column].max()) + 1} but there are {have}; {BROKEN}"
             )
     slots, index, corner_of = split_corners(corners, len(positions))
     triangles, material = fans(slots[of_face], sizes, face_material)
@@ -253,7 +253,7 @@ class _Lines:
         self.materials: list[str] = [""]
         self.face_materials: list[int] = []
         relative = b"-" in b"".join(line for line in data.splitlines() if line[:2] == b"f ")
-        known, current = {"": 0}, 0
+        materials, current = {"": 0}, 0
         for line in data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines():
             if line[:2] == b"v ":
                 self.positions.append(line[2:])
@@ -274,7 +274,7 @@ class _Lines:
                 self.normals.append(rest)
             elif word == b"usemtl":
                 name = rest.strip().decode("utf-8", "replace")
-                current = known.setdefault(name, len(known))
+                current = materials.setdefault(name, len(materials))
                 if current == len(self.materials):
                     self.materials.append(name)
             elif word == b"mtllib":
@@ -296,11 +296,11 @@ class _Lines:
             ]
         sizes = np.fromiter((len(face.split()) for face in faces), np.int64, len(faces))
         flat = b" ".join(faces).split()
-        known = {corner: number for number, corner in enumerate(dict.fromkeys(flat))}
-        of_face = np.fromiter(map(known.__getitem__, flat), np.int64, len(flat))
-        table = np.full((len(known), 3), -1, np.int64)
+        numbers = {corner: number for number, corner in enumerate(dict.fromkeys(flat))}
+        of_face = np.fromiter(map(numbers.__getitem__, flat), np.int64, len(flat))
+        table = np.full((len(numbers), 3), -1, np.int64)
         try:
-            for corner, number in known.items():
+            for corner, number in numbers.items():
                 for column, part in enumerate(corner.split(b"/")[:3]):
                     if part:
                         table[number, column] = int(part) - 1
@@ -369,9 +369,9 @@ def _unit_normals(normals: np.ndarray, corners: np.ndarray, corner_of: np.ndarra
         return None
     out: np.ndarray[Any, Any] = np.tile([0.0, 1, 0], (len(corner_of), 1))
     has = corner_of >= 0
-    found = np.nan_to_num(normals[corners[corner_of[has], 2]])
-    length = np.linalg.norm(found, axis=1, keepdims=True)
-    out[has] = np.where(length > 1e-12, found / np.where(length > 1e-12, length, 1), [0, 1, 0])
+    unit = np.nan_to_num(normals[corners[corner_of[has], 2]])
+    length = np.linalg.norm(unit, axis=1, keepdims=True)
+    out[has] = np.where(length > 1e-12, unit / np.where(length > 1e-12, length, 1), [0, 1, 0])
     return out
 
 

@@ -316,7 +316,7 @@ def _check_bones(path: Path, file: MmdFile) -> tuple[MmdBone, ...]:
     count, out = len(file.bones), []
     for index, bone in enumerate(file.bones):
         if not np.isfinite(bone.position).all() or np.abs(bone.position).max() > 1e6:
-            raise FormatError(path, f"bone {index} is at no place that is a number; {_AGAIN}")
+            raise FormatError(path, f"bone {index} has a position that is not a number; {_AGAIN}")
         if not -1 <= bone.parent < count:
             raise FormatError(path, f"bone {index} has the parent {bone.parent} but there are {count} bones; {_AGAIN}")
         tail = file.tails.get(index)

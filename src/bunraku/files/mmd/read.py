@@ -216,13 +216,13 @@ def _morph(read: _Read) -> MmdMorph:
         "impulse": sizes.body,
     }
     rest = {"group": 4, "flip": 4, "vertex": 12, "bone": 28, "uv": 16, "material": 1 + 28 * 4, "impulse": 1 + 24}
-    what = _MORPHS[kind]
-    size = index.get(what, sizes.vertex) + rest[what]
+    role = _MORPHS[kind]
+    size = index.get(role, sizes.vertex) + rest[role]
     section = reader.section
     count = reader.count("offsets of a morph", size)
     reader.skip(count * size)
     reader.section = section
-    return MmdMorph(name, what, count)
+    return MmdMorph(name, role, count)
 
 
 def _physics(read: _Read) -> None:
@@ -257,10 +257,10 @@ def _add_physics(
     if not reader.left:
         return
     kinds = ("rigid bodies", MAX_BODIES), ("joints", MAX_JOINTS)
-    for (what, most), least, read in zip(kinds, sizes, add, strict=True):
-        count = reader.count(what, least, layout)
+    for (kind, most), least, read in zip(kinds, sizes, add, strict=True):
+        count = reader.count(kind, least, layout)
         if count > most:
-            out.note(f"its {count:,} {what} are left out, at most {most:,} are read")
+            out.note(f"its {count:,} {kind} are left out, at most {most:,} are read")
             return
         for _ in range(count):
             read()

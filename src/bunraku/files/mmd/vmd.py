@@ -109,7 +109,7 @@ def read_vmd(path: Path, data: bytes) -> VmdMotion:
     """
     name_size = next((size for magic, size in _HEADERS if data.startswith(magic)), 0)
     if not name_size:
-        raise FormatError(path, "it does not begin with 'Vocaloid Motion Data', so it is no VMD file; save it again")
+        raise FormatError(path, "it does not begin with 'Vocaloid Motion Data', so it is not a VMD file; save it again")
     at = 30 + name_size
     model = fixed_text(data[30:at])
     keys, at = _records(path, data, at, _BONE, "bone keys", needed=True)
@@ -120,8 +120,8 @@ def read_vmd(path: Path, data: bytes) -> VmdMotion:
             path, f"its last key is at frame {keys['frame'].max()}, hours after the start; delete that key"
         )
     morphs, at = _records(path, data, at, _MORPH, "morph keys")
-    for what, size in _SKIPPED:
-        _, at = _records(path, data, at, np.dtype((np.void, size)), what)
+    for section, size in _SKIPPED:
+        _, at = _records(path, data, at, np.dtype((np.void, size)), section)
     names, counts = np.unique(morphs["name"], return_counts=True)
     return VmdMotion(
         model,

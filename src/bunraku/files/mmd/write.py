@@ -61,14 +61,14 @@ def pmx_bytes(file: MmdFile) -> bytes:
     Raises:
         FormatError: It has more bones, rigid bodies or joints than are read.
     """
-    for what, count, most in (
+    for kind, count, most in (
         ("bones", len(file.bones), MAX_BONES),
         ("bodies", len(file.bodies), MAX_BODIES),
         ("joints", len(file.joints), MAX_JOINTS),
     ):
         if count > most:
             raise FormatError(
-                Path(f"{file.name}.pmx"), f"it would have {count:,} {what}, and at most {most:,} are read; use fewer"
+                Path(f"{file.name}.pmx"), f"it would have {count:,} {kind}, and at most {most:,} are read; use fewer"
             )
     out = _Writer(file)
     out.parts.append(b"PMX ")
@@ -190,11 +190,11 @@ def _frames(out: _Writer, file: MmdFile) -> None:
 
 def _angles(turn: np.ndarray) -> np.ndarray:
     """MMD's angles about x, y, z [rad] of a rotation in our frame: the inverse of `mmd_rotation`."""
-    own = _MIRROR[:, None] * turn * _MIRROR
-    x = np.arctan2(-own[1, 2], np.hypot(own[1, 0], own[1, 1]))
-    if abs(own[1, 2]) > 1 - 1e-12:  # straight up or down: only the sum of the other two is known
-        return np.array([x, np.arctan2(-own[2, 0], own[0, 0]), 0.0])
-    return np.array([x, np.arctan2(own[0, 2], own[2, 2]), np.arctan2(own[1, 0], own[1, 1])])
+    mirrored = _MIRROR[:, None] * turn * _MIRROR
+    x = np.arctan2(-mirrored[1, 2], np.hypot(mirrored[1, 0], mirrored[1, 1]))
+    if abs(mirrored[1, 2]) > 1 - 1e-12:  # straight up or down: only the sum of the other two is known
+        return np.array([x, np.arctan2(-mirrored[2, 0], mirrored[0, 0]), 0.0])
+    return np.array([x, np.arctan2(mirrored[0, 2], mirrored[2, 2]), np.arctan2(mirrored[1, 0], mirrored[1, 1])])
 
 
 def _body(out: _Writer, body: MmdBody) -> None:
@@ -261,7 +261,7 @@ def write_character(
     """
     if not rig and handles is not None:
         raise CharacterError(
-            f"{character.name}: a PMX has a tree of bones, and handles are none; name a skeleton (--skeleton vrm)"
+            f"{character.name}: a PMX has a tree of bones, which handles are not; name a skeleton (--skeleton vrm)"
         )
     return save_pmx(character, path, avatar)
 
@@ -277,8 +277,8 @@ def pmx_file(character: Character) -> MmdFile:
     rig, model = character.rig, mmd_model(character)
     if rig is None:
         raise CharacterError(f"{character.name}: there is no rig to write; make one with `bunraku.with_skeleton`")
-    own = model is not None and len(model.bones) == len(rig.names)
-    out = MmdFile("PMX 2.0", model.name if model and own else character.name, model.english if model and own else "")
+    same = model is not None and len(model.bones) == len(rig.names)
+    out = MmdFile("PMX 2.0", model.name if model and same else character.name, model.english if model and same else "")
     source = document_of(character)
     index = _mesh(out, character, source)
     width = min(4, rig.indices.shape[1])
@@ -290,7 +290,7 @@ def pmx_file(character: Character) -> MmdFile:
     else:
         bones[:, :width], shares[:, :width] = rig.indices[:, :width], rig.weights[:, :width]
     out.sdef = np.zeros((len(index), 3, 3))
-    if model is not None and own and len(model.deforms) == len(index):
+    if model is not None and same and len(model.deforms) == len(index):
         out.deforms = model.deforms
         out.sdef[model.sdef.vertices] = (
             np.stack([model.sdef.center, model.sdef.r0, model.sdef.r1], axis=1) * _MIRROR / MMD_METRE
@@ -318,10 +318,12 @@ def _mesh(out: MmdFile, character: Character, source: Source) -> np.ndarray:
     materials = document.items("materials")
     for part, rows in source.placed():
         primitives = document.objects(document.item("meshes", part.mesh), "primitives")
-        for group, own in part.split(rows):
+        for group, ids in part.split(rows):
             attributes = primitives[group.primitives[0]].get("attributes", {})
-            known = attributes.get("TEXCOORD_0")
-            uv = np.zeros((len(own), 2)) if known is None else document.accessor(known, ("VEC2",)).astype(np.float64)
+            texture = attributes.get("TEXCOORD_0")
+            uv = (
+                np.zeros((len(ids), 2)) if texture is None else document.accessor(texture, ("VEC2",)).astype(np.float64)
+            )
             for number, corners in zip(group.primitives, group.triangles, strict=True):
                 if len(corners):
                     material = primitives[number].get("material")
@@ -332,11 +334,11 @@ def _mesh(out: MmdFile, character: Character, source: Source) -> np.ndarray:
             normals.append(
                 document.accessor(attributes["NORMAL"], ("VEC3",)).astype(np.float64)
                 if kept and "NORMAL" in attributes
-                else smooth[own]
+                else smooth[ids]
             )
-            chosen.append(own)
+            chosen.append(ids)
             uvs.append(uv)
-            base += len(own)
+            base += len(ids)
     index = np.concatenate(chosen)
     out.positions = _units(character.vertices[index].astype(np.float64))
     out.normals, out.uvs = np.concatenate(normals) * _MIRROR, np.concatenate(uvs)

@@ -53,7 +53,7 @@ def read_amass(path: Path, data: bytes) -> SkeletalMotion:
         if "trans" not in names or not ("poses" in names or {"root_orient", "pose_body"} <= names) or rate is None:
             raise FormatError(
                 path,
-                "this NPZ lacks poses, trans or mocap_framerate, so it is no motion of AMASS; some of its files are "
+                "this NPZ lacks poses, trans or mocap_framerate, so it is not a motion of AMASS; some of its files are "
                 "shapes only",
             )
         parts = ("poses",) if "poses" in names else ("root_orient", "pose_body")
@@ -230,13 +230,13 @@ def read_npz_motion(path: Path, data: bytes, *, prefix: str = "") -> HandleMotio
         missing = [name for name in _NEEDED if prefix + name not in npz_names(archive)]
         if missing:
             raise FormatError(
-                path, f"this NPZ lacks {', '.join(missing)}, so it is no handle motion; save one with Animation.save"
+                path, f"this NPZ lacks {', '.join(missing)}, so it is not handle motion; save one with Animation.save"
             )
         arrays = {name: read_member(path, archive, prefix + name, len(data)) for name in _NEEDED}
-        known = npz_names(archive)
-        names = {name: prefix + (name if prefix + name in known else _ALL_OWN) for name in _OWN}
+        members = npz_names(archive)
+        names = {name: prefix + (name if prefix + name in members else _ALL_OWN) for name in _OWN}
         own = {
-            name: member in known and bool(np.any(read_member(path, archive, member, len(data))))
+            name: member in members and bool(np.any(read_member(path, archive, member, len(data))))
             for name, member in names.items()
         }
     if arrays["fps"].size != 1:
@@ -259,8 +259,8 @@ def read_reference(path: Path, data: bytes) -> HandleMotion | None:
     are those of `read_npz_motion`.
     """
     with open_npz(path, data) as archive:
-        known = f"{REFERENCE}translations" in npz_names(archive)
-    return read_npz_motion(path, data, prefix=REFERENCE) if known else None
+        has_reference = f"{REFERENCE}translations" in npz_names(archive)
+    return read_npz_motion(path, data, prefix=REFERENCE) if has_reference else None
 
 
 def read_positions(path: Path, data: bytes) -> np.ndarray | None:

@@ -51,7 +51,7 @@ def parse_hierarchy(path: Path, text: str) -> tuple[list[BvhJoint], int]:
     """
     text = text.removeprefix("\ufeff").strip()
     if not re.match(r"HIERARCHY\b", text, re.IGNORECASE):
-        raise FormatError(path, "it does not begin with HIERARCHY, so it is no BVH file; export it again")
+        raise FormatError(path, "it does not begin with HIERARCHY, so it is not a BVH file; export it again")
     joints: list[BvhJoint] = []
     above: list[int] = []  # open braces
     names: dict[str, int] = {}
@@ -136,7 +136,8 @@ BVH_UNITS: dict[str, float] = {
 }
 """Units of BVH files [m], by definition; "cmu" is 1/0.45 inch, as published skeletons of the CMU database state it."""
 
-PERSON = 2.2  # from the toes up the trunk and out to a hand [m]
+# From the toes up the trunk and out to a hand [m]; measured on the reference body it is 1.3 of the height.
+PERSON = 2.2
 MOST_HEADER = 4 << 20
 CHUNK = 2000  # frames turned into matrices at once
 MOST_ROTATIONS = 40_000_000  # of all joints in all frames: 1.4 GB
@@ -169,14 +170,14 @@ def read_bvh(path: Path, data: bytes, *, unit: str | None = None, up: str | None
         OptionError: There is no such unit or axis.
     """
     if unit is not None and unit not in BVH_UNITS:
-        raise OptionError(f"'{unit}' is no unit; there are {', '.join(BVH_UNITS)}")
+        raise OptionError(f"'{unit}' is not a unit; there are {', '.join(BVH_UNITS)}")
     if up not in (None, "+y", "+z"):
         raise OptionError(f"up in a BVH file is +y or +z, not {up}")
     start = _MOTION.search(data, 0, MOST_HEADER)
     if start is None:
         parse_hierarchy(
             path, data[:MOST_HEADER].decode("utf-8", "replace")
-        )  # says what is wrong if that is no hierarchy
+        )  # says what is wrong if that is not a hierarchy
         raise FormatError(path, "there is no MOTION after its hierarchy, the file is cut off; export it again")
     joints, columns = parse_hierarchy(path, data[: start.start()].decode("utf-8", "replace"))
     values, fps = _frames(path, data, start.start(), columns)
@@ -200,7 +201,7 @@ def _frames(path: Path, data: bytes, start: int, columns: int) -> tuple[np.ndarr
         count, seconds = int(head["count"]), float(head["time"])
     except ValueError:
         raise FormatError(
-            path, "its number of frames or its frame time is missing or is no number; export it again"
+            path, "its number of frames or its frame time is missing or not a number; export it again"
         ) from None
     if count <= 0:
         raise FormatError(path, f"it has {count} frames; export at least one")
@@ -246,7 +247,7 @@ def _numbers(path: Path, text: bytes, need: int, columns: int) -> np.ndarray:
     word = bad[0][:20].decode("utf-8", "replace") if bad else ""
     comma = ", decimals need a point" if "," in word else ""
     raise FormatError(
-        path, f"its frame {len(before) // columns + 1} holds '{word}', which is no number{comma}; export it again"
+        path, f"its frame {len(before) // columns + 1} holds '{word}', which is not a number{comma}; export it again"
     )
 
 
@@ -274,15 +275,15 @@ def _rotations(values: np.ndarray, joints: list[BvhJoint]) -> np.ndarray:
     for axes, indices in groups.items():
         turns = [[column for _, kind, column in joints[index].channels if kind == "rotation"] for index in indices]
         if len(set(axes)) != len(axes):  # an axis twice
-            for index, own in zip(indices, turns, strict=True):
+            for index, turn in zip(indices, turns, strict=True):
                 out[:, index] = np.eye(3)
-                for axis, column in zip(axes, own, strict=True):
+                for axis, column in zip(axes, turn, strict=True):
                     out[:, index] = out[:, index] @ _euler(np.radians(values[:, None, column, None]), (axis,))[:, 0]
             continue
-        whole = len(indices) == len(joints)
+        all_turn = len(indices) == len(joints)
         for start in range(0, len(values), CHUNK):
             angles = np.radians(values[start : start + CHUNK][:, np.array(turns, np.int64).reshape(len(indices), -1)])
-            out[start : start + CHUNK, slice(None) if whole else indices] = _euler(angles, axes)
+            out[start : start + CHUNK, slice(None) if all_turn else indices] = _euler(angles, axes)
     return out
 
 
@@ -385,9 +386,9 @@ def _in_our_frame(motion: SkeletalMotion, scale: float, up: str | None) -> Skele
         x, y, z = np.ptp(skeleton.positions, axis=0)
         up = "+z" if z > 3 * y and z > 0.4 * x and extent[2] > 1.3 * extent[1] else "+y"
     turn = np.eye(3, dtype=np.float32) if up == "+y" else np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], np.float32)
-    own = Skeleton(skeleton.names, skeleton.parents, skeleton.offsets @ turn.T * scale)
+    turned = Skeleton(skeleton.names, skeleton.parents, skeleton.offsets @ turn.T * scale)
     rotations = motion.rotations if up == "+y" else turn @ motion.rotations @ turn.T
-    return SkeletalMotion(own, rotations, motion.root_translation @ turn.T * scale, motion.fps)
+    return SkeletalMotion(turned, rotations, motion.root_translation @ turn.T * scale, motion.fps)
 
 
 ORDERS = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")
@@ -420,11 +421,11 @@ def write_bvh(
     """
     path = Path(path)
     if unit not in BVH_UNITS:
-        raise OptionError(f"'{unit}' is no unit; there are {', '.join(BVH_UNITS)}")
+        raise OptionError(f"'{unit}' is not a unit; there are {', '.join(BVH_UNITS)}")
     if up not in ("+y", "+z"):
         raise OptionError(f"up in a BVH file is +y or +z, not {up}")
     if order.lower() not in ORDERS:
-        raise OptionError(f"'{order}' is no order of rotations; there are {', '.join(ORDERS)}")
+        raise OptionError(f"'{order}' is not an order of rotations; there are {', '.join(ORDERS)}")
     if not len(motion):
         raise OptionError("a motion without frames cannot be written; give it at least one")
     motion = motion if fps is None else resample_motion(motion, fps)

@@ -158,7 +158,7 @@ def check_character(character: Character, path: Path) -> None:
     if mmd_model(character) is None:
         raise FormatError(
             path,
-            f"a VMD moves the bones of an MMD model, and {character.name} is none; transfer onto a .pmx or .pmd, or "
+            f"a VMD moves the bones of an MMD model, and {character.name} is not one; transfer onto a .pmx or .pmd, or "
             "write a .bvh or .vrma",
         )
 

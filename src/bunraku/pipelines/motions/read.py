@@ -23,8 +23,8 @@ def load_mesh_motion(folder: str | Path, fps: float = 20.0) -> MeshMotion:
     FormatError where there are no such files, one cannot be read, or their meshes differ.
     """
     folder = Path(folder)
-    found = sorted(file for file in folder.iterdir() if file.is_file())
-    files = max(([file for file in found if file.suffix.lower() == suffix] for suffix in (".ply", ".obj")), key=len)
+    inside = sorted(file for file in folder.iterdir() if file.is_file())
+    files = max(([file for file in inside if file.suffix.lower() == suffix] for suffix in (".ply", ".obj")), key=len)
     if not files:
         raise FormatError(folder, "it holds no .obj or .ply files; name a folder with one mesh a frame")
     first = load_character(files[0], unit="m")
@@ -110,8 +110,8 @@ def _own_clip(path: Path) -> Animation | HandleMotion | None:
     from bunraku.files import load_clip, load_clip_animation
 
     try:
-        found = load_clip(path)
+        clip = load_clip(path)
     except (FormatError, MotionError):
         return None
-    known = found.reference
-    return known if known is not None and not known.own_kind else load_clip_animation(path)
+    reference = clip.reference
+    return reference if reference is not None and not reference.own_kind else load_clip_animation(path)

@@ -77,8 +77,8 @@ class Gait(Stage):
             return 0.0
         alike = np.full(last + 1, -1.0)
         for lag in range(first, last + 1):
-            one, other = swings[:-lag], swings[lag:]
-            alike[lag] = (one @ other) / max(float(np.sqrt((one @ one) * (other @ other))), 1e-12)
+            earlier, other = swings[:-lag], swings[lag:]
+            alike[lag] = (earlier @ other) / max(float(np.sqrt((earlier @ earlier) * (other @ other))), 1e-12)
         inside = np.arange(first + 1, last)
         peaks = inside[(alike[inside] >= alike[inside - 1]) & (alike[inside] >= alike[inside + 1])]
         peaks = peaks[alike[peaks] > self.alike]
@@ -225,12 +225,12 @@ class Swings(Stage):
         if min(swings) < self.least or ratio > self.unlike or not self._goes_on(angles, fps):
             return
         swing, middle = float(np.sqrt(swings[0] * swings[1])), float(np.mean([one.mean() for one in angles]))
-        for leg, own in zip(pair, swings, strict=True):
+        for leg, swing_of_leg in zip(pair, swings, strict=True):
             factor, turned = 1.0, rotations
             for _ in range(self.rounds):
-                factor = float(np.clip(factor * swing / max(own, 1e-9), 1 / self.most, self.most))
+                factor = float(np.clip(factor * swing / max(swing_of_leg, 1e-9), 1 / self.most, self.most))
                 turned = self._scaled(rotations, leg, factor)
-                own = self.swing(self.angle(turned, leg, anatomy, rocks))
+                swing_of_leg = self.swing(self.angle(turned, leg, anatomy, rocks))
             shift = middle - float(self.angle(turned, leg, anatomy, rocks).mean())
             about = matrix_from_axis_angle(np.array([-shift, 0.0, 0.0]))
             for handle in _handles(leg):
@@ -256,9 +256,9 @@ class Swings(Stage):
         """
         out = rotations.copy()
         for handle in _handles(leg):
-            own = rotations[:, handle]
-            mean = nearest_rotation(own.mean(axis=0))
-            turn = np.asarray(axis_angle_from_matrix(own @ mean.T))
+            turns = rotations[:, handle]
+            mean = nearest_rotation(turns.mean(axis=0))
+            turn = np.asarray(axis_angle_from_matrix(turns @ mean.T))
             turn[:, 0] *= factor
             out[:, handle] = matrix_from_axis_angle(turn) @ mean
         return out
@@ -274,10 +274,10 @@ class Swings(Stage):
         if last <= first + 1:
             return False
         alike = np.full((2, last + 1), -1.0)
-        for row, own in enumerate(away):
+        for row, shifts in enumerate(away):
             for lag in range(first, last + 1):
-                one, other = own[:-lag], own[lag:]
-                alike[row, lag] = (one @ other) / max(float(np.sqrt((one @ one) * (other @ other))), 1e-12)
+                earlier, other = shifts[:-lag], shifts[lag:]
+                alike[row, lag] = (earlier @ other) / max(float(np.sqrt((earlier @ earlier) * (other @ other))), 1e-12)
         return bool(alike.min(axis=0).max() > self.alike)
 
 
@@ -332,11 +332,11 @@ class Support(Stage):
             return out
         high, tops, rest = [], [], []
         for end in ends:
-            own = [legs[number] for number in end]
-            lows = [(sole_points(leg, anatomy, world)[..., 1].min(axis=1) - floor) / leg.length for leg in own]
+            pair = [legs[number] for number in end]
+            lows = [(sole_points(leg, anatomy, world)[..., 1].min(axis=1) - floor) / leg.length for leg in pair]
             high.append(np.min(lows, axis=0) > self.lifted)
-            tops.append(np.mean([_joint(world, leg.upper, leg.joints[0]) for leg in own], axis=0))
-            rest.append(np.mean([leg.joints[0] for leg in own], axis=0))
+            tops.append(np.mean([_joint(world, leg.upper, leg.joints[0]) for leg in pair], axis=0))
+            rest.append(np.mean([leg.joints[0] for leg in pair], axis=0))
         rise = _slope(tops[1] - tops[0]) - _slope((rest[1] - rest[0])[None])  # of the front over the rear
         for side, rises in ((0, -rise), (1, rise)):
             out[:, side] = self._lasting(high[side] & ~high[1 - side] & (rises < self.reared), motion.fps)

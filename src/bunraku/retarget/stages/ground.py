@@ -313,12 +313,12 @@ class Soles(Stage):
         for leg in anatomy.legs:
             if not leg.foot:
                 continue
-            own, shift = world[:, leg.end, :, :3], world[:, leg.end, :, 3]
-            ankle = np.einsum("nij,j->ni", own, leg.joints[2]) + shift
+            end_rotations, shift = world[:, leg.end, :, :3], world[:, leg.end, :, 3]
+            ankle = np.einsum("nij,j->ni", end_rotations, leg.joints[2]) + shift
             below = ankle[:, 1] - self._under(leg, anatomy, world, ankle) - anatomy.floor
             if (below >= -self.sinks * leg.length).all():
                 continue
-            turned = own @ anatomy.rotations[leg.end].T
+            turned = end_rotations @ anatomy.rotations[leg.end].T
             facing = np.asarray(matrix_y(heading(turned, motion.fps)), np.float64)
             slope = np.asarray(axis_angle_from_matrix(facing.transpose(0, 2, 1) @ turned))
             less = np.where(below < -self.sinks * leg.length, 1.0, 0.0)

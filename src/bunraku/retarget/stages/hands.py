@@ -76,15 +76,15 @@ class Hands(Stage):
         if not arms:
             return fitted
         body = reference_body()
-        known = self._parts(body.vertices, body.handle_weights, np.arange(len(HANDLE_NAMES)))
+        reference_parts = self._parts(body.vertices, body.handle_weights, np.arange(len(HANDLE_NAMES)))
         stance = anatomy.stance_transforms.astype(np.float64)
         world = fitted.transforms(handles.positions).astype(np.float64)
         theirs = motion.transforms(body.handles.positions).astype(np.float64)
         posed = np.einsum("vk,kij->vij", handles.weights, stance)
         vertices = np.einsum("vij,vj->vi", posed[..., :3], character.vertices) + posed[..., 3]
-        own = self._parts(vertices[character.surface], handles.weights[character.surface], handles.played)
+        character_parts = self._parts(vertices[character.surface], handles.weights[character.surface], handles.played)
         held = {wrist: body.handle_weights[:, [wrist, wrist + 2]].sum(axis=1) > 0.5 for wrist in WRISTS}
-        palms = {wrist: np.asarray(body.vertices[own].mean(axis=0), np.float64) for wrist, own in held.items()}
+        palms = {wrist: np.asarray(body.vertices[rows].mean(axis=0), np.float64) for wrist, rows in held.items()}
         shifts = np.zeros((len(fitted), len(arms), 3))
         positions = []  # of each arm: the reference's palm and the character's in each frame
         for number, arm in enumerate(arms):
@@ -97,13 +97,13 @@ class Hands(Stage):
             positions.append((wrist, source, present))
             total, want = np.zeros(len(fitted)), np.zeros((len(fitted), 3))
             closest = np.zeros(len(fitted))
-            for name, part in known.items():
-                if name not in own:
+            for name, part in reference_parts.items():
+                if name not in character_parts:
                     continue
                 local = _unapplied(theirs[:, part.handle], source)
                 near = smooth_step(cKDTree(part.points).query(local)[0], self.near, self.touches)
                 share = near * self._rest(local, motion.fps)
-                there = own[name]
+                there = character_parts[name]
                 goal = _placed(local, part, there, scale)
                 frame = world[:, there.handle] @ _square(np.linalg.inv(_square(stance[there.handle])))
                 want += (share**4)[:, None] * (_applied(frame, goal) - present)
@@ -216,10 +216,10 @@ class BodySurface:
         self._positions = handles.positions
         self._parts = []
         for handle in np.unique(owner[usable]).tolist():
-            own = np.flatnonzero(usable & (owner == handle))
-            if len(own) >= least:
-                points = vertices[own]
-                out, low, high = normals[own] / size[own, None], points.min(axis=0), points.max(axis=0)
+            members = np.flatnonzero(usable & (owner == handle))
+            if len(members) >= least:
+                points = vertices[members]
+                out, low, high = normals[members] / size[members, None], points.min(axis=0), points.max(axis=0)
                 self._parts.append(_BodyPart(handle, cKDTree(points), points, out, low, high))
 
     def depths(self, motion: HandleMotion, hands: np.ndarray, near: float) -> tuple[np.ndarray, np.ndarray]:
@@ -248,11 +248,11 @@ class BodySurface:
                 continue
             local = local[frames, rows]
             away, index = part.tree.query(local, distance_upper_bound=near)
-            found = away < best[frames, rows]  # none is at infinity
-            frames, rows, index = frames[found], rows[found], index[found]
-            best[frames, rows] = away[found]
+            deeper = away < best[frames, rows]  # none is at infinity
+            frames, rows, index = frames[deeper], rows[deeper], index[deeper]
+            best[frames, rows] = away[deeper]
             normals = part.normals[index]
-            depth[frames, rows] = ((part.points[index] - local[found]) * normals).sum(axis=-1)
+            depth[frames, rows] = ((part.points[index] - local[deeper]) * normals).sum(axis=-1)
             out[frames, rows] = (turn[frames] @ normals[..., None])[..., 0]
         return depth, out
 
@@ -319,12 +319,12 @@ class HandsClear(Stage):
         mesh, handles = anatomy.mesh, anatomy.mesh_handles
         away = np.linalg.norm(mesh.vertices[arm.foot_area] - arm.joints[2], axis=1)
         near = arm.foot_area[away < self.palm * arm.length]
-        some = near if len(near) else arm.foot_area
-        some = some[np.linspace(0, len(some) - 1, min(self.points, len(some))).astype(int)]
+        vertices = near if len(near) else arm.foot_area
+        vertices = vertices[np.linspace(0, len(vertices) - 1, min(self.points, len(vertices))).astype(int)]
         world = motion.transforms(handles.positions).astype(np.float64)
-        blended = handles.weights[some].astype(np.float64) @ world.reshape(*world.shape[:2], 12)
-        blended = blended.reshape(len(world), len(some), 3, 4)
-        rest = mesh.vertices[some].astype(np.float64)
+        blended = handles.weights[vertices].astype(np.float64) @ world.reshape(*world.shape[:2], 12)
+        blended = blended.reshape(len(world), len(vertices), 3, 4)
+        rest = mesh.vertices[vertices].astype(np.float64)
         return np.asarray((blended[..., :3] @ rest[..., None])[..., 0] + blended[..., 3])
 
     def _soft(self, push: np.ndarray, fps: float) -> np.ndarray:

@@ -111,15 +111,15 @@ class Blocks(Stage):
         return anatomy.handles.rigid
 
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
-        known, rotations = reference_joints().positions, fitting.rotations.copy()
+        rest, rotations = reference_joints().positions, fitting.rotations.copy()
         for limb in WHOLE_LIMBS:
             for handle, end in pieces(limb, anatomy.joints):
                 chain = pairwise(limb[limb.index(handle) : limb.index(end) + 1])
                 rotated = fitting.rotations
-                posed = sum(np.einsum("nij,j->ni", rotated[:, one], known[two] - known[one]) for one, two in chain)
-                own = fitting.rotations[:, handle]
-                straight = np.einsum("nij,j->ni", own, known[end] - known[handle])
-                rotations[:, handle] = rotation_between(straight, posed + self.folded * straight) @ own
+                posed = sum(np.einsum("nij,j->ni", rotated[:, joint], rest[two] - rest[joint]) for joint, two in chain)
+                turns = fitting.rotations[:, handle]
+                straight = np.einsum("nij,j->ni", turns, rest[end] - rest[handle])
+                rotations[:, handle] = rotation_between(straight, posed + self.folded * straight) @ turns
         return replace(fitting, rotations=rotations)
 
 

@@ -102,7 +102,7 @@ class Shape(Stage):
             nature is not pulled about.
         longest: No handle is moved farther [m of the reference body].
         steps: Gauss-Newton steps.
-        stride: Every so many frames are solved; the moves between them are blended.
+        stride: Every this many frames are solved; the moves between them are blended.
         chunk: Frames that are solved at once.
     """
 
@@ -175,8 +175,8 @@ class Shape(Stage):
         fresh = np.ones(len(ordered), bool)
         fresh[1:] = ordered[1:] != ordered[:-1]
         ordered = ordered[fresh]
-        some = np.flatnonzero(position <= ordered[: self.looked_at].max(initial=0))
-        return edges[some[np.unique(position[some], return_index=True)[1]]], len(ordered)
+        chosen = np.flatnonzero(position <= ordered[: self.looked_at].max(initial=0))
+        return edges[chosen[np.unique(position[chosen], return_index=True)[1]]], len(ordered)
 
 
 def _hashed(places: Sequence[np.ndarray]) -> np.ndarray:

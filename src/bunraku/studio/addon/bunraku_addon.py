@@ -65,18 +65,18 @@ def ended(address, job):
     """Wait for a job."""
     end = time.monotonic() + SECONDS
     while time.monotonic() < end:
-        found = call(address, "GET", f"/jobs/{job}")
-        if found["state"] == "done":
+        job_state = call(address, "GET", f"/jobs/{job}")
+        if job_state["state"] == "done":
             return
-        if found["state"] not in ("waiting", "running"):
-            raise StudioError(found["error"] or f"the job was {found['state']}")
+        if job_state["state"] not in ("waiting", "running"):
+            raise StudioError(job_state["error"] or f"the job was {job_state['state']}")
         time.sleep(0.2)
     raise StudioError("the studio takes too long")
 
 
 def export_mesh(context, target, path):
     """Write one object as GLB, alone, without its modifiers' armature and without animation."""
-    chosen = [one for one in context.view_layer.objects if one.select_get()]
+    chosen = [chosen_object for chosen_object in context.view_layer.objects if chosen_object.select_get()]
     active = context.view_layer.objects.active
     bpy.ops.object.select_all(action="DESELECT")
     target.select_set(True)
@@ -86,8 +86,8 @@ def export_mesh(context, target, path):
         bpy.ops.export_scene.gltf(filepath=path, use_selection=True, **how)
     finally:
         bpy.ops.object.select_all(action="DESELECT")
-        for one in chosen:
-            one.select_set(True)
+        for chosen_object in chosen:
+            chosen_object.select_set(True)
         context.view_layer.objects.active = active
 
 
@@ -95,12 +95,12 @@ def import_take(context, path):
     """The armature and meshes of a GLB."""
     before = set(bpy.data.objects)
     bpy.ops.import_scene.gltf(filepath=path)
-    made = [one for one in bpy.data.objects if one not in before]
-    armature = next((one for one in made if one.type == "ARMATURE"), None)
+    imported = [candidate for candidate in bpy.data.objects if candidate not in before]
+    armature = next((candidate for candidate in imported if candidate.type == "ARMATURE"), None)
     if armature is None:
         raise StudioError("the studio's file holds no armature; update Bunraku")
-    skinned = [one for one in made if one.type == "MESH" and one.vertex_groups]
-    return armature, skinned, made
+    skinned = [candidate for candidate in imported if candidate.type == "MESH" and candidate.vertex_groups]
+    return armature, skinned, imported
 
 
 def nearest_weights(source, target):
@@ -129,10 +129,10 @@ def animate(context, target, address, prompt, seconds, seed):
         with open(mesh, "rb") as file:
             data = file.read()
         name = urllib.parse.quote(f"{target.name}.glb")
-        made = json.loads(ask(address, "POST", f"/characters?name={name}", data))
-        character = made["character"]["id"]
+        upload = json.loads(ask(address, "POST", f"/characters?name={name}", data))
+        character = upload["character"]["id"]
         try:
-            ended(address, made["job"])
+            ended(address, upload["job"])
             # Blender's own axes are known: nothing is to be guessed of a mesh that comes from it.
             turned = call(address, "PATCH", f"/characters/{character}", {"up": "+y", "front": "+z", "unit": "m"})
             if "job" in turned:
@@ -194,8 +194,8 @@ class BUNRAKU_OT_animate(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context):
-        one = context.view_layer.objects.active
-        return one is not None and one.type == "MESH" and context.mode == "OBJECT"
+        active = context.view_layer.objects.active
+        return active is not None and active.type == "MESH" and context.mode == "OBJECT"
 
     def execute(self, context):
         settings = context.scene.bunraku
@@ -233,15 +233,15 @@ CLASSES = (BunrakuSettings, BUNRAKU_OT_animate, BUNRAKU_PT_panel)
 
 
 def register():
-    for one in CLASSES:
-        bpy.utils.register_class(one)
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
     bpy.types.Scene.bunraku = bpy.props.PointerProperty(type=BunrakuSettings)
 
 
 def unregister():
     del bpy.types.Scene.bunraku
-    for one in reversed(CLASSES):
-        bpy.utils.unregister_class(one)
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)
 
 
 if __name__ == "__main__":

@@ -50,7 +50,7 @@ async def characters(request: Request) -> Any:
     title, suffix = plain_name(request.query_params.get("name", ""))
     if suffix not in (*CHARACTERS, ".zip"):
         raise FormatError(
-            f"{title}{suffix}", f"this is no format of characters; they are {', '.join((*CHARACTERS, '.zip'))}"
+            f"{title}{suffix}", f"this is not a format of characters; those are {', '.join((*CHARACTERS, '.zip'))}"
         )
     record = await run_in_threadpool(state.store.new, "characters", _fresh(title, ""))
     folder = state.store.folder_of("characters", record["id"])
@@ -114,8 +114,8 @@ def character(request: Request, body: dict[str, Any]) -> Any:
     if state.busy("characters", name):
         raise OptionError("something is being made of this character; wait for it, or cancel it")
     state.change("characters", name, settings=settings)
-    made = state.open(name, record["file"])
-    return JSONResponse(made, 202)
+    opened = state.open(name, record["file"])
+    return JSONResponse(opened, 202)
 
 
 async def mesh(request: Request) -> Response:
@@ -189,7 +189,7 @@ def copy(request: Request, body: dict[str, Any]) -> Any:
     state, name = studio_state(request), request.path_params["name"]
     old = state.store.get("characters", name)
     record = state.store.new("characters", {**_fresh(f"{old['name']} copy"[:80], ""), "settings": old["settings"]})
-    source, target = (state.store.folder_of("characters", one) / "source" for one in (name, record["id"]))
+    source, target = (state.store.folder_of("characters", key) / "source" for key in (name, record["id"]))
     shutil.copytree(source, target)
     return JSONResponse(state.open(record["id"], old["file"]), 202)
 

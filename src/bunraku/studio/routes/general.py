@@ -89,36 +89,36 @@ def packed(request: Request, body: dict[str, Any]) -> Response:
     state, name = studio_state(request), request.path_params["name"]
     view = checked_view(body.get("view"))
     title = state.store.get("characters", name)["name"]
-    made = state.new_export("project.bunraku", f"{title}.bunraku")
-    path = state.store.folder_of("exports", made["id"]) / made["file"]
+    export = state.new_export("project.bunraku", f"{title}.bunraku")
+    path = state.store.folder_of("exports", export["id"]) / export["file"]
     try:
         pack_project(state.store, name, view, path)
     except BaseException:
-        state.store.drop("exports", made["id"])
+        state.store.drop("exports", export["id"])
         raise
-    state.store.note("exports", made["id"], state="done")
-    return FileResponse(path, filename=made["title"], media_type="application/zip")
+    state.store.note("exports", export["id"], state="done")
+    return FileResponse(path, filename=export["title"], media_type="application/zip")
 
 
 async def opened(request: Request) -> Any:
     """Open the project file in the body."""
     state = studio_state(request)
     title, _ = plain_name(request.query_params.get("name", ""))
-    made = await run_in_threadpool(state.new_export, "project.bunraku", title)
-    path = state.store.folder_of("exports", made["id"]) / f"{title}.bunraku"
+    export = await run_in_threadpool(state.new_export, "project.bunraku", title)
+    path = state.store.folder_of("exports", export["id"]) / f"{title}.bunraku"
     try:
         await receive(request, path)
-        found = await run_in_threadpool(unpack_project, state.store, path)
+        project = await run_in_threadpool(unpack_project, state.store, path)
     finally:
-        await run_in_threadpool(state.store.drop, "exports", made["id"])
-    record = state.store.get("characters", found["character"])
+        await run_in_threadpool(state.store.drop, "exports", export["id"])
+    record = state.store.get("characters", project["character"])
     state.jobs.changes.tell("character", record)
     if "ends" not in record:  # it was saved before they were found
         with suppress(BunrakuError):
             state.find_out(record["id"])
-    for name in found["takes"].values():
+    for name in project["takes"].values():
         state.jobs.changes.tell("take", state.store.get("takes", name))
-    return JSONResponse(found, 201)
+    return JSONResponse(project, 201)
 
 
 MOST_TEXT = 1000
@@ -232,24 +232,24 @@ async def understand(request: Request) -> Any:
     from bunraku.language.understood import understood
 
     words = from_json(_TextForm, await body_of(request), "the request").text
-    found = await run_in_threadpool(understood, words)
+    reading = await run_in_threadpool(understood, words)
     clips = await run_in_threadpool(search, words)
     return {
-        "clips": [clip.name for clip in clips[:SUGGESTED]], "ok": found.ok, "language": found.language,
-        "english": found.english,
-        "unknown": [{"word": word.word, "start": word.start, "stop": word.stop} for word in found.unknown],
-        "corrected": [list(pair) for pair in found.corrected], "nearest": list(found.nearest),
-        "notes": list(found.notes),
+        "clips": [clip.name for clip in clips[:SUGGESTED]], "ok": reading.ok, "language": reading.language,
+        "english": reading.english,
+        "unknown": [{"word": word.word, "start": word.start, "stop": word.stop} for word in reading.unknown],
+        "corrected": [list(pair) for pair in reading.corrected], "nearest": list(reading.nearest),
+        "notes": list(reading.notes),
     }  # fmt: skip
 
 
 async def changes(request: Request) -> Any:
     """What has changed after the number `?after=`; without it, the number to ask with."""
-    found = studio_state(request).jobs.changes
-    given = request.query_params.get("after", str(found.last))
+    changes = studio_state(request).jobs.changes
+    given = request.query_params.get("after", str(changes.last))
     if not given.isascii() or not given.isdecimal() or len(given) > LONGEST_NUMBER:
         raise OptionError("after must be a whole number; reload the page")
-    return found.since(int(given))
+    return changes.since(int(given))
 
 
 async def jobs(request: Request) -> Any:
@@ -269,9 +269,9 @@ async def again(request: Request) -> Any:
     """Make what was interrupted or failed again."""
     state = studio_state(request)
     old = state.jobs.get(request.path_params["name"])
-    made = await run_in_threadpool(state.jobs.again, old["id"])
+    job = await run_in_threadpool(state.jobs.again, old["id"])
     await run_in_threadpool(state.revive, old["about"])
-    return public(made)
+    return public(job)
 
 
 ROUTES = [

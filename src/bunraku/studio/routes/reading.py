@@ -61,7 +61,7 @@ async def receive(request: Request, path: Path, most: int | None = None) -> int:
     """
     most = MOST_BYTES if most is None else most
     declared = request.headers.get("content-length", "")
-    size, whole, chunks = 0, False, request.stream()
+    size, complete, chunks = 0, False, request.stream()
     try:
         if declared.isdecimal() and int(declared) > most:
             raise TooLarge(
@@ -76,12 +76,12 @@ async def receive(request: Request, path: Path, most: int | None = None) -> int:
         if not size:
             raise FormatError(path.name, "the file is empty; export it again")
         if declared.isdecimal() and size != int(declared):
-            raise FormatError(path.name, "it did not come whole; drop it again")
-        whole = True
+            raise FormatError(path.name, "it did not arrive in full; drop it again")
+        complete = True
     except ClientDisconnect:
-        raise FormatError(path.name, "it did not come whole; drop it again") from None
+        raise FormatError(path.name, "it did not arrive in full; drop it again") from None
     finally:
-        if not whole:
+        if not complete:
             path.unlink(missing_ok=True)
             with suppress(ClientDisconnect):  # a sender gets no answer while it sends
                 async for chunk in chunks:
@@ -95,22 +95,22 @@ def unpack(archive: Path, folder: Path) -> str:
     """Unpack the character of a ZIP with the files beside it, and give back its file, relative to the folder;
     FormatError where the ZIP is broken, unpacks to too much, names a path outside, or holds no character.
     """
-    found: list[str] = []
+    names: list[str] = []
     with open_archive(archive, MOST_ENTRIES, MOST_UNPACKED) as opened:
         for entry in opened.infolist():
             if entry.is_dir():
                 continue
             target = path_inside(folder, _decoded(entry))
             if target is None:
-                raise FormatError(archive.name, "a file in it is to lie outside of its folder; pack it again")
+                raise FormatError(archive.name, "a file in it would lie outside its folder; pack it again")
             if target.suffix.lower() not in _BESIDE:
                 continue
             copy_entry(opened, entry, target)
             if target.suffix.lower() in CHARACTERS:
-                found.append(target.relative_to(folder.resolve()).as_posix())
-    if not found:
+                names.append(target.relative_to(folder.resolve()).as_posix())
+    if not names:
         raise FormatError(archive.name, f"there is no character in it; characters are {', '.join(CHARACTERS)}")
-    return min(found, key=lambda name: (name.count("/"), CHARACTERS.index(Path(name).suffix.lower()), name))
+    return min(names, key=lambda name: (name.count("/"), CHARACTERS.index(Path(name).suffix.lower()), name))
 
 
 def _decoded(entry: zipfile.ZipInfo) -> str:
@@ -153,10 +153,10 @@ async def body_of(request: Request) -> dict[str, Any]:
         data += chunk
         if len(data) > MOST_JSON:
             raise OptionError(f"a request of more than {MOST_JSON >> 20} MiB is not taken")
-    found = read_json(bytes(data) or b"{}", "the request", MOST_JSON)
-    if not isinstance(found, dict):
-        raise OptionError("the request is no JSON object")
-    return found
+    body = read_json(bytes(data) or b"{}", "the request", MOST_JSON)
+    if not isinstance(body, dict):
+        raise OptionError("the request is not a JSON object")
+    return body
 
 
 def beside(handler: Callable[[Request, dict[str, Any]], Any]) -> Callable[[Request], Awaitable[Any]]:

@@ -62,11 +62,11 @@ def _make(state: State, owner: str, body: dict[str, object]) -> Any:
         if before["character"] != owner or before["state"] != "done" or before.get("skin") != "handles":
             raise OptionError("what is followed must be a finished take of handles of the same character")
     script = script_json(read_script(form.script))
-    made = state.new_takes(
+    takes = state.new_takes(
         owner, len(form.seeds), how="animate", script=script, asked=form.asked(), seeds=list(form.seeds)
     )
     params = {"request": request.to_json(), "seeds": list(form.seeds), "draft": form.draft}
-    return {**state.make("animate", request.prompt, owner, _ids(made), params), "script": script}
+    return {**state.make("animate", request.prompt, owner, _ids(takes), params), "script": script}
 
 
 def _play(state: State, owner: str, form: TakeForm, handles: Literal["predict", "rig"]) -> Any:
@@ -75,14 +75,14 @@ def _play(state: State, owner: str, form: TakeForm, handles: Literal["predict", 
     pieces, apparel = form.pieces(handles), form.apparel
     constraints = form.constraints()
     constraints.check()
-    made = state.new_takes(
+    takes = state.new_takes(
         owner, len(form.seeds), how="animate", script=script_json(script), asked=form.asked(), seeds=list(form.seeds)
     )
     params = {
         "seeds": list(form.seeds), "pieces": pieces, "constraints": constraints.to_json(), "apparel": apparel,
         "stiffness": form.stiffness, "gravity": form.gravity,
     }  # fmt: skip
-    return {**state.make("play", sequence_of(script), owner, _ids(made), params), "script": script_json(script)}
+    return {**state.make("play", sequence_of(script), owner, _ids(takes), params), "script": script_json(script)}
 
 
 def _ids(takes: list[dict[str, Any]]) -> list[str]:
@@ -165,8 +165,8 @@ def _change(state: State, name: str, body: dict[str, object]) -> Any:
         asked, params = {**same, "pins": list(form.pins)}, {**same, "constraints": form.bends().to_json()}
     else:
         raise OptionError("type what is done instead, or pin a hand or a foot")
-    made = state.new_takes(owner, 1, how=kind, parent=name, script=parent["script"], asked=asked, seeds=seeds)
-    return state.make(kind, title, owner, _ids(made), {**params, "parent": name})
+    takes = state.new_takes(owner, 1, how=kind, parent=name, script=parent["script"], asked=asked, seeds=seeds)
+    return state.make(kind, title, owner, _ids(takes), {**params, "parent": name})
 
 
 def _edit(state: State, name: str, form: ChangeForm, apparel: Apparel) -> Any:
@@ -177,12 +177,12 @@ def _edit(state: State, name: str, form: ChangeForm, apparel: Apparel) -> Any:
         if pose.take is not None and state.store.get("takes", pose.take)["character"] != owner:
             raise OptionError("a pose must be of a take of the same character")
     request = form.request(apparel)
-    made = state.new_takes(
+    takes = state.new_takes(
         owner, len(form.seeds), how="edit", parent=parent["id"], script=parent["script"], asked=form.asked(apparel),
         seeds=list(form.seeds),
     )  # fmt: skip
     params = {"request": request.to_json(), "seeds": list(form.seeds), "parent": parent["id"]}
-    return state.make("edit", request.prompt, owner, _ids(made), params)
+    return state.make("edit", request.prompt, owner, _ids(takes), params)
 
 
 async def transfer(request: Request) -> Any:
@@ -191,7 +191,9 @@ async def transfer(request: Request) -> Any:
     ready_character(state, owner)
     title, suffix = plain_name(request.query_params.get("name", ""))
     if suffix not in (*MOTIONS, *CHARACTERS):
-        raise FormatError(f"{title}{suffix}", f"this is no format of motions; they are {', '.join(MOTIONS)} and .fbx")
+        raise FormatError(
+            f"{title}{suffix}", f"this is not a format of motions; those are {', '.join(MOTIONS)} and .fbx"
+        )
     given = {name: _factor(name, request.query_params.get(name)) for name in ("stiffness", "gravity")}
     given["apparel"] = request.query_params.get("apparel")
     form = from_json(DressForm, {name: value for name, value in given.items() if value is not None})
@@ -200,15 +202,15 @@ async def transfer(request: Request) -> Any:
     if onto not in ("auto", "handles"):
         raise OptionError("onto is one of auto, handles")
     about = {"script": [{"text": f"{title}{suffix}", "seconds": 0}], "asked": {"file": title, **apparel}}
-    (made,) = await run_in_threadpool(state.new_takes, owner, 1, how="transfer", **about)
+    (take,) = await run_in_threadpool(state.new_takes, owner, 1, how="transfer", **about)
     try:
-        file = state.store.folder_of("takes", made["id"]) / f"motion-source{suffix}"
+        file = state.store.folder_of("takes", take["id"]) / f"motion-source{suffix}"
         await receive(request, file)
     except BaseException:
-        state.drop("takes", made["id"])
+        state.drop("takes", take["id"])
         raise
     params = {"file": file.name, **apparel, "onto": onto}
-    queued = await run_in_threadpool(state.make, "transfer", f"transfer {title}", owner, [made["id"]], params)
+    queued = await run_in_threadpool(state.make, "transfer", f"transfer {title}", owner, [take["id"]], params)
     return JSONResponse(queued, 202)
 
 
@@ -246,8 +248,8 @@ def clips(request: Request, body: dict[str, Any]) -> Any:
         "takes": list(form.takes), "names": names, "character": owner, "fps": form.fps, "preset": form.preset,
         "title": title,
     }  # fmt: skip
-    made = state.export("export-clips", f"clips{suffix}", f"{title}-{form.preset or 'clips'}{suffix}", params)
-    return JSONResponse({**made, "clips": names}, 202)
+    export = state.export("export-clips", f"clips{suffix}", f"{title}-{form.preset or 'clips'}{suffix}", params)
+    return JSONResponse({**export, "clips": names}, 202)
 
 
 def _short(sentence: str) -> str:

@@ -169,10 +169,10 @@ def document_of(routes: Routes, version: str, reads: Mapping[tuple[str, str], ty
     """
     paths: dict[str, dict[str, Any]] = {}
     for path, methods, handler in routes:
-        said = (inspect.getdoc(handler) or "").split("\n\n")[0].replace("\n", " ")
+        summary = (inspect.getdoc(handler) or "").split("\n\n")[0].replace("\n", " ")
         for method in methods:
             entry: dict[str, Any] = {
-                "operationId": f"{handler.__name__}_{method.lower()}", "summary": said,
+                "operationId": f"{handler.__name__}_{method.lower()}", "summary": summary,
                 "responses": {"200": {"description": "What was asked for."},
                               "202": {"description": "The job that was begun; `/jobs/{name}` tells of it."},
                               "4XX": _ERROR, "5XX": _ERROR},

@@ -23,7 +23,9 @@ from bunraku_lab.datasets.apparel.plan import FPS, CharacterSource, ClipPlan, Sh
 from bunraku_lab.datasets.apparel.shards import INDEX, LATER_ARRAYS, SHARD_ARRAYS, Shard, shard_fingerprint, write_shard
 
 RIGID = 2e-5
-"""A bone that leaves its joint by less than this at all its vertices [m] counts as rigid with it."""
+"""A bone that leaves its joint by less than this at all its vertices [m] counts as rigid with it:
+half precision, in which offsets are kept, was measured to move it by .03 to .07 mm.
+"""
 _CHUNK = 256
 
 
@@ -270,7 +272,7 @@ def _build(folder: Path, shard: ShardPlan) -> None:
     rig = apparel_rig(character)
     mask = apparel_mask(character)
     if rig is None or mask is None or not mask.any():
-        raise CharacterError(f"{character.name}: its file says nothing of apparel that physics move; leave it out")
+        raise CharacterError(f"{character.name}: its file has no apparel that physics move; leave it out")
     body = UnifiedBody.of(character)
     animations: list[RigAnimation] = []
     clips: list[dict[str, Any]] = []

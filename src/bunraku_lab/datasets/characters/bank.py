@@ -168,7 +168,6 @@ def _check(bank: CharacterBank) -> None:
 _log = logging.getLogger(__name__)
 
 EDGES, ARM_POINTS = 1500, 256
-BENDS = 1e-3  # ends of an edge whose weights differ by less keep their distance whatever the handles do
 _ARMS = [i for i, name in enumerate(HANDLE_NAMES) if name.endswith(("shoulder", "elbow", "wrist", "fingers"))]
 _LIMBS = [HANDLE_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("shoulder", "hip")]
 _CHEST = [HANDLE_NAMES.index(name) for name in ("spine3", "spine2", "spine1", "pelvis")]
@@ -303,7 +302,9 @@ def _row(
     index, weights = _top(handles.weights)
     present = joints.present
     edges = unique_edges(character.faces, len(character.vertices))
-    both = np.abs(handles.weights[edges[:, 0]] - handles.weights[edges[:, 1]]).sum(axis=1) > BENDS
+    both = (
+        np.abs(handles.weights[edges[:, 0]] - handles.weights[edges[:, 1]]).sum(axis=1) > 1e-3
+    )  # others keep their length
     length = np.linalg.norm(character.vertices[edges[:, 0]] - character.vertices[edges[:, 1]], axis=1)
     edges = edges[both & (length > 1e-6 * float(np.ptp(character.vertices, axis=0).max()))]
     picked = (

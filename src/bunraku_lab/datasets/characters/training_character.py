@@ -17,6 +17,8 @@ from bunraku.core.geometry.rotations import matrix_from_axis_angle, matrix_y
 from bunraku.core.skinning import skin
 from bunraku.errors import FormatError
 
+UPRIGHT = 0.7
+"""Least share of the way from the pelvis to the head that leads up, on a humanoid."""
 # Rigs whose bones have no names, or wrong ones: the turn about +Y that makes them face +Z [degrees], and the part of
 # each bone.
 # Sides follow from where the bone stands.

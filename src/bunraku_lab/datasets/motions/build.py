@@ -81,6 +81,7 @@ def level_feet(motion: SkeletalMotion, name: str, slopes: Mapping[str, float]) -
     return replace(motion, rotations=rotations)
 
 
+# The shipped denoiser was trained on data made with these.
 HAND = 0.15
 """Height [m] up to which a body that is off the ground means to stand on it."""
 CLIMB = 0.2
@@ -168,8 +169,9 @@ def unrolled(motion: SkeletalMotion) -> SkeletalMotion:
     return motion_from_positions(motion.world()[1], motion.fps)
 
 
+# The shipped denoiser was trained on data made with these.
 HELD_TURN, HELD_WAY, HELD_MARGIN = np.radians(10), 0.05, 5
-"""A pose is held while no handle rotates and the root moves no farther than this [m]; so many frames are kept."""
+"""A pose is held while no handle rotates and the root moves no farther than this [m]; this many frames are kept."""
 QUATERNION_STEP = 8192.0  # the archive stores first differences of round(8192 q)
 
 
@@ -415,6 +417,7 @@ def t_pose(motion: HandleMotion) -> np.ndarray:
     return np.asarray((turned > 1 + 2 * np.cos(np.radians(22))).all(axis=1))
 
 
+# The shipped denoiser was trained on data made with these.
 WINDOWS = (50, 70)  # frames
 LEAST, MOST, FARTHEST = 2.5, 3.9, 0.9  # rad, rad, m
 MARGIN = 6  # frames kept before and after

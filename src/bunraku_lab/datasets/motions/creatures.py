@@ -43,13 +43,9 @@ def present_files(folder: Path, files: Iterable[str]) -> list[str]:
     return present
 
 
-NEAR = (
-    0.04,
-    0.015,
-    # what is this near to the lowest point, as a share of the height, stands; the second where the first takes in
-    # swinging
-    # feet
-)
+# The shipped denoiser was trained on data made with these. What is nearer than NEAR to the lowest point, over the
+# height, stands; the second value counts where the first takes in swinging feet.
+NEAR = (0.04, 0.015)
 IN_PLACE = 0.25  # clips that come farther than this share of the way that their feet make do move already
 SLOWEST, FASTEST = 0.03, 6.0  # in body heights a second
 

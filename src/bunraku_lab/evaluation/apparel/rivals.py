@@ -64,7 +64,7 @@ ROUNDS = 400  # of the fit of weights
 STARTS = 4
 TEN = 10
 STRIDE = 6
-"""Of so many frames of a whole clip one is looked at."""
+"""Of this many frames of a whole clip one is looked at."""
 
 
 def whole_figures(clip: TrueClip, moved: np.ndarray, truth: np.ndarray) -> Figures:

@@ -13,7 +13,7 @@ from bunraku.core.geometry.surface import split_estimate, split_long_edges
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import handle_offsets, part_means, register, skin
 
-_LIGHT = 1e-3  # weight under which a vertex has no say in a part
+_LIGHT = 1e-3  # weight under which a vertex has no say in a part, by definition
 
 
 def refine_registration(
@@ -323,7 +323,7 @@ def carried(values: np.ndarray, vertices: np.ndarray, faces: np.ndarray, points:
 STRETCHED, FAR = 2.0, 4.0
 """Lengths, over those at rest, from which on an edge is stretched, and torn."""
 STRIDE = 3  # frames from one that is measured to the next
-SHORT = 1e-3  # edges shorter than this share of the height are not seen, whatever they do
+SHORT = 1e-3  # edges shorter than this share of the height are not seen, by definition
 CHUNK = 16  # frames posed at once: bounds memory
 
 

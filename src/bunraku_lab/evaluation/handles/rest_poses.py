@@ -20,7 +20,7 @@ _ARM_DROP = {
 _LEG_DIRECTIONS = {
     "sitting": ((0.0, 0, 1), (0.0, -1, 0)),
     "crouching": ((0.0, -0.3, 0.95), (0.0, -0.8, -0.6)),
-}  # thighs and shins that do not stand
+}  # thighs and shins that do not stand, which define the poses
 _CHAINS = (("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle"))
 
 

@@ -16,6 +16,7 @@ from bunraku.core.geometry.surface import vertex_areas
 from bunraku.errors import CharacterError
 from bunraku_lab.datasets.characters.build import HELD_OUT, no_characters
 from bunraku_lab.datasets.characters.training_character import (
+    UPRIGHT,
     TrainingCharacter,
     facing_rotation,
     handle_target,
@@ -28,8 +29,6 @@ _NEEDED = tuple(
 )
 _HEAD = HANDLE_NAMES.index("head")
 _NO_RIG = {".ply", ".stl"}
-UPRIGHT = 0.7
-"""Least share of the way from the pelvis to the head that leads up, on a humanoid."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -66,11 +66,11 @@ def animation_arap(animation: Animation) -> float:
 
 
 STRIDE = 2
-"""Of so many frames the mesh is looked at in one."""
+"""Of this many frames the mesh is looked at in one."""
 
 
-HUMAN = 1.7  # m
-DOWN = 0.05  # a foot is down where its lowest vertex is so near to the ground, over the leg's length
+HUMAN = 1.7  # height at which lengths are given, by definition of the measures [m]
+DOWN = 0.05  # a foot is down where its lowest vertex is so near to the ground, by definition, over the leg's length
 # m/s at human size: a foot that moves faster along the ground than this and than the body does is swung, not slid
 SWING = 1.0
 POINTS = 300  # vertices of each foot that are looked at

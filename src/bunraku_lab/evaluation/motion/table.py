@@ -47,6 +47,7 @@ from bunraku_lab.training.rows.clips import ClipEntry, load_clips, people
 
 Report = Callable[[str, float], None]
 
+# Goals, set before anything was measured.
 TABLE_BARS = {
     "r_precision_1_over_real": Bar("R-Precision top-1 over that of the real data, one sample of the network", 0.80),
     "r_precision_1_over_real_distilled": Bar("- one sample of the four distilled steps alone", 0.80),

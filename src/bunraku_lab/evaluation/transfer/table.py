@@ -46,7 +46,7 @@ def bvh_again(path: Path) -> float | None:
 
 
 KEYS = ("soles", "soles_reached", "soles_beyond", "soles_target")
-HAIR = 1e-5  # a leg that is stretched to within so much of its reach is as good as there [m]
+HAIR = 1e-5  # a leg that is stretched to within so much of its reach is as good as there, by definition [m]
 
 
 def measure_soles(folder: str | Path | None, failed: dict[str, str]) -> dict[str, float | None]:

@@ -127,6 +127,7 @@ def makehuman_figure(wardrobe: Wardrobe, rng: np.random.Generator) -> tuple[Figu
     return figure, Closet(wardrobe, body_shape, linear, -float(posed[:, 1].min()))
 
 
+# The shipped networks of apparel were trained on characters drawn so.
 _STYLES = {"uniform": 0.2, "dress": 0.2, "traveller": 0.16, "coat": 0.16, "robe": 0.14, "casual": 0.14}
 
 

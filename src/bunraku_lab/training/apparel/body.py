@@ -34,7 +34,9 @@ JOINT_INPUT = 3 + 1 + 3
 SHARPNESS = 32.0
 """Of the attention before it has learned, a unit of the height."""
 FLOOR = 1e-6
-"""Of the attention where weights begin with it: a joint that it leaves out can come back."""
+"""Of the attention where weights begin with it: a joint that it leaves out can come back; the kept
+network was trained so.
+"""
 
 
 @dataclass(frozen=True)

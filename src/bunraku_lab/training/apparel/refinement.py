@@ -29,6 +29,7 @@ from bunraku_lab.training.losses.motion import edge_loss, refinement_loss, verte
 from bunraku_lab.training.rows.banks import kept_arrays
 from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings
 
+# The kept network was trained with these.
 REACH = 0.12
 """How far from apparel the body is refined too, along the edges, over the character's size [m]."""
 HOPS = (1, 4, 12)
@@ -169,7 +170,7 @@ def seam_of(clothed: ClothedCharacter, weights: np.ndarray) -> Seam:
 
 
 MOST = 1.0  # largest weight of a basis vector
-FREE = 0.01  # largest refinement beside them, over the character's size
+FREE = 0.01  # largest refinement beside them, over the character's size; the kept network was trained so
 
 
 @dataclass(frozen=True)

@@ -31,8 +31,9 @@ from bunraku_lab.training.losses.motion import mask_loss
 from bunraku_lab.training.rows.banks import kept_arrays
 from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings
 
+# The shipped mask network was trained with this.
 TOUCH = 0.03
-"""How near vertices of loose parts are that lie on one another, over the height."""
+"""How near vertices of loose parts are that lie on one another and may be welded, over the height."""
 REACH = 5.0
 """How far from a joint it begins to be the surface, over the distance of the nearest vertex."""
 _SIDES = np.array([side for side in np.ndindex(3, 3, 3) if side != (1, 1, 1)], np.float64) - 1
@@ -118,7 +119,7 @@ def _arrays(seed: int) -> dict[str, np.ndarray]:
     return {key: getattr(sample.mesh, key) for key in _MESH} | arrays
 
 
-TOUCHING = 0.03  # over the height: points of two parts as near may be welded
+# The shipped mask network was trained with these.
 WIDTH = 0.08  # of the logarithm of what widths are multiplied by
 FEWEST = 0.5  # least share of the points that is kept
 LEAST = 3  # points of a part that are kept
@@ -139,7 +140,7 @@ def welded_parts(
         apparel: Which points are apparel, where parts that have some are welded first, shape (S,).
     """
     numbers, own = np.unique(part, return_inverse=True)
-    near = cKDTree(points).query_pairs(TOUCHING, output_type="ndarray")
+    near = cKDTree(points).query_pairs(TOUCH, output_type="ndarray")
     pairs = np.sort(own[near], axis=1)
     pairs = pairs[pairs[:, 0] != pairs[:, 1]]
     if not body:

@@ -34,6 +34,8 @@ def motion_losses(predicted: Tensor, clean: Tensor, lengths: Tensor, weights: Te
 
 
 FEET = ("left_ankle", "left_foot", "right_ankle", "right_foot")
+
+# The shipped denoiser was trained with these.
 NEAR = 0.05
 """Height [m] of a handle over its height at rest up to which it may stand."""
 SLOW = 0.35

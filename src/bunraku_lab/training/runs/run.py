@@ -140,7 +140,7 @@ def learning_rate(peak: float, step: int, warmup: int, share: float, least: floa
 
 
 def careful_step(model: torch.nn.Module, optimizer: torch.optim.Optimizer) -> None:
-    """Step along gradients clipped to a norm of 1; not at all where one of them is no number."""
+    """Step along gradients clipped to a norm of 1; not at all where one of them is not a number."""
     norm = torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)
     if bool(torch.isfinite(norm)):
         optimizer.step()

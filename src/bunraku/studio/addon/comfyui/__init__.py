@@ -48,11 +48,11 @@ def ended(address, job):
     """Wait for a job."""
     end = time.monotonic() + SECONDS
     while time.monotonic() < end:
-        found = call(address, "GET", f"/jobs/{job}")
-        if found["state"] == "done":
+        job_state = call(address, "GET", f"/jobs/{job}")
+        if job_state["state"] == "done":
             return
-        if found["state"] not in ("waiting", "running"):
-            raise ValueError(found["error"] or f"the job was {found['state']}")
+        if job_state["state"] not in ("waiting", "running"):
+            raise ValueError(job_state["error"] or f"the job was {job_state['state']}")
         time.sleep(0.2)
     raise ValueError("the studio takes too long")
 
@@ -93,11 +93,11 @@ class BunrakuAnimate:
         with open(model_file, "rb") as file:
             data = file.read()
         name = urllib.parse.quote(os.path.basename(model_file))
-        made = json.loads(ask(address, "POST", f"/characters?name={name}", data))
-        ended(address, made["job"])
+        upload = json.loads(ask(address, "POST", f"/characters?name={name}", data))
+        ended(address, upload["job"])
         script = [{"text": sentence, "seconds": seconds}]
         asked = {"script": script, "seeds": [seed], "draft": False}
-        take = call(address, "POST", f"/characters/{made['character']['id']}/takes", asked)
+        take = call(address, "POST", f"/characters/{upload['character']['id']}/takes", asked)
         ended(address, take["job"])
         written = call(address, "POST", f"/takes/{take['takes'][0]}/exports", {"format": format})
         ended(address, written["job"])
