@@ -38,6 +38,8 @@ POSTURES = {
     "crawl": "all fours", "push-up": "all fours", "hang": "hanging",
 }  # fmt: skip
 """Postures that the parser's actions bring with them."""
+TURNS = {"turn": "?", "turn around": "180", "spin": "360"}
+"""How far actions turn that are nothing else [degrees]."""
 STANCES = {
     "chair": "sitting", "seat": "sitting", "floor": "sitting", "crossed": "sitting", "kneel": "kneeling",
     "both knees": "kneeling", "squat": "crouching", "back": "lying", "belly": "lying",
@@ -73,20 +75,24 @@ def _frames_of(clause: Any) -> Frames:
         ways = {way for target in posing.targets for way in target.ways}
         along = "backward" if "back" in ways else "forward" if "forward" in ways else "down" if "down" in ways else ""
     frames: Frames = []
-    for action in clause.actions or ("none",):
+    read = [(frame.action, frame.shown, frame.fields) for frame in clause.frames] or [("none", "", {})]
+    for action, shown, fields in read:
         frame: dict[str, Any] = {"action": action}
         direction = "circle" if action == "circle" else "-".join(filter(None, (along, side)))
+        direction = direction or fields.get("direction", "")
         if direction:
             frame["direction"] = direction
         if clause.turn is not None and (action != "circle" or clause.turn.side):
             angles = {"quarter": "90", "half": "180", "full": "360"}
             said = [angle for cue, angle in angles.items() if cue in clause.cues]
-            degrees = "180" if action == "turn around" else said[0] if said else "?"
+            degrees = "180" if action == "turn around" else said[0] if said else fields.get("degrees", "?")
             frame["turn"] = f"{degrees} {({1: 'left', -1: 'right'}).get(clause.turn.side, '?')}"
-        posture = POSTURES.get(action) or (STANCES.get(stance.name) if stance else None)
+        elif action in TURNS or "turn side" in fields:
+            frame["turn"] = f"{fields.get('degrees', TURNS.get(action, '?'))} {fields.get('turn side', '?')}"
+        posture = POSTURES.get(shown) or (STANCES.get(stance.name) if stance else None)
         posture = posture or ("sitting" if "sits" in clause.traits else "lying" if "lies" in clause.cues else None)
-        if posture:
-            frame["posture"] = posture
+        if posture or "posture" in fields:
+            frame["posture"] = posture or fields["posture"]
         if clause.count is not None:
             frame["count"] = clause.count
         frames.append(frame)

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info
 
+from bunraku.cli.options import parse_jobs
 from bunraku.core.nn.layers import one_thread, parallel, usable_threads
-from bunraku.core.parallel import Pool, parse_jobs
+from bunraku.core.parallel import Pool
 from bunraku.errors import OptionError
 
 SLEEPING = """

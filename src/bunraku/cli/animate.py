@@ -18,6 +18,7 @@ from bunraku.cli.options import (
     GeneratingOptions,
     ProgramOption,
     SkeletonOption,
+    parse_jobs,
 )
 from bunraku.cli.outputs import (
     Result,
@@ -38,7 +39,6 @@ from bunraku.cli.outputs import (
     written_files,
     written_path,
 )
-from bunraku.core.parallel import parse_jobs
 from bunraku.core.request import SECONDS, TAKES, Progress
 from bunraku.errors import FormatError, OptionError, sentence_of
 from bunraku.pipelines.requests import Request

@@ -21,6 +21,7 @@ WEIGHTS = {
     "orientation": "`bunraku animate` and `bunraku rig` do not see how a mesh stands; they need --up and --front",
     "diffusion": "no sentence can become a motion; `bunraku animate` does not work",
     "text": "sentences cannot be read; `bunraku animate` does not work",
+    "reader": "what a sentence names is not read; `bunraku animate` does not work",
     "ranker": "`bunraku animate` cannot choose among candidates; say --candidates 1",
     "tagger": "words of German, French, Spanish, Japanese and Chinese that the table of words lacks are not read",
     "critic": "`bunraku animate` does not guide motions towards their sentences, and fewer do what these say",

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from bunraku.cli.outputs import USUAL_FPS, OutputOption, PreviewOption, WithoutOption
+from bunraku.core.parallel import MOST_JOBS
 from bunraku.core.request import FPS
 from bunraku.errors import OptionError
 from bunraku.pipelines.requests import Apparel, Constraints, Sampling
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 __all__ = [
     "ApparelOptions", "AxisOption", "DirectingOptions", "EditSamplingOptions", "FeelOption", "GeneratingOptions",
     "PinOption", "ProgramOption", "SamplingOptions", "SkeletonOption", "StandingOptions", "UnitOption", "check_axes",
-    "parse_path", "parse_pin", "resolve_file", "said_axes", "stand_up", "stands_line",
+    "parse_jobs", "parse_path", "parse_pin", "resolve_file", "said_axes", "stand_up", "stands_line",
 ]  # fmt: skip
 
 
@@ -325,6 +326,19 @@ def parse_pin(text: str) -> Pin:
             f"--pin is a part, a time and a position in metres, such as left_hand@2.0=0.3,1.4,0.2 (parts: "
             f"{', '.join(PINNED)}), not '{text}'"
         ) from None
+
+
+def parse_jobs(text: str) -> int | str:
+    """The value of the option for parallel work: a number, or "ray".
+
+    Raises:
+        OptionError: It is neither.
+    """
+    if text == "ray":
+        return text
+    if not text.isdecimal() or len(text) > 4 or not 1 <= int(text) <= MOST_JOBS:
+        raise OptionError(f"--jobs is a number from 1 to {MOST_JOBS}, or ray, not {text[:40]!r}")
+    return int(text)
 
 
 def parse_path(text: str) -> GroundPath | None:

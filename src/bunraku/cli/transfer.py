@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from bunraku.cli.manifest import exclusive_output, fingerprint
-from bunraku.cli.options import ApparelOptions, ProgramOption, StandingOptions
+from bunraku.cli.options import ApparelOptions, ProgramOption, StandingOptions, parse_jobs
 from bunraku.cli.outputs import (
     OutputOption,
     PreviewOption,
@@ -34,7 +34,6 @@ from bunraku.cli.outputs import (
     written_path,
 )
 from bunraku.core.files import open_once
-from bunraku.core.parallel import parse_jobs
 from bunraku.core.request import Progress
 from bunraku.errors import BunrakuError, FormatError, OptionError, sentence_of
 from bunraku.pipelines.requests import TransferRequest

@@ -19,9 +19,9 @@ from multiprocessing import get_context
 from types import TracebackType
 from typing import Any, ParamSpec, TypeVar
 
-from bunraku.errors import MissingExtraError, OptionError
+from bunraku.errors import MissingExtraError
 
-__all__ = ["MOST_JOBS", "Pool", "THREADS", "one_thread_each", "parse_jobs", "run_parallel"]
+__all__ = ["MOST_JOBS", "Pool", "THREADS", "one_thread_each", "run_parallel"]
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Variables that set how many threads libraries use; libraries read them when they are loaded."""
@@ -128,19 +128,6 @@ def _watch() -> None:
 
 MOST_JOBS = 1024
 _Item = TypeVar("_Item")
-
-
-def parse_jobs(text: str) -> int | str:
-    """The value of the option for parallel work: a number, or "ray".
-
-    Raises:
-        OptionError: It is neither.
-    """
-    if text == "ray":
-        return text
-    if not text.isdecimal() or len(text) > 4 or not 1 <= int(text) <= MOST_JOBS:
-        raise OptionError(f"--jobs is a number from 1 to {MOST_JOBS}, or ray, not {text[:40]!r}")
-    return int(text)
 
 
 def run_parallel(

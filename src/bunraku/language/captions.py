@@ -55,7 +55,7 @@ def _in_form(verb: str, form: str) -> str:
 
 @functools.cache
 def caption_table(name: str) -> dict[str, Any]:
-    """What `captions.json` or `creature_captions.json` holds."""
+    """What `captions.json`, `creature_captions.json` or another file beside them holds."""
     table: dict[str, Any] = json.loads(resources.files("bunraku.language").joinpath(name).read_text(encoding="utf-8"))
     return table
 

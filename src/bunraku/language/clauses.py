@@ -14,8 +14,8 @@ from bunraku.language.posing import Posing, posing_of
 
 __all__ = [
     "SHORTEST_CLAUSE", "as_caption", "as_parsed", "as_present", "handed_on", "limbs_described", "moved_part",
-    "of_creature", "of_person", "parts_of", "shared", "split_clauses", "split_voices", "subject_of", "timed_clauses",
-    "with_subject",
+    "of_creature", "of_person", "parts_of", "passing", "shared", "split_clauses", "split_voices", "subject_of",
+    "timed_clauses", "with_subject",
 ]  # fmt: skip
 
 
@@ -23,6 +23,8 @@ GOING, LEAST_GOING = 2.5, 1.5
 """Seconds that walking and the like are worth beside what is done once, and the least that they get before all get
 less; chosen by eye.
 """
+SURELY = 0.7
+"""Probability from which a half of "idle to crouch" is taken for something that is done; chosen by eye."""
 SHORTEST_CLAUSE = 1.0
 """Seconds under which clauses are too short to be done one by one; the sentence stays whole then. Chosen by eye."""
 
@@ -302,6 +304,22 @@ def parts_of(clause: str) -> list[str]:
     if len(parts) < 2 or any(before & after for before, after in itertools.pairwise(actions)):
         return []
     return [as_caption(with_subject(part, subject)) for part in parts]
+
+
+def passing(clause: str) -> list[str]:
+    """The halves of a clause that passes from one thing to another, as the names of clips do: "rifle idle to crouch"
+    as "rifle idle" and "crouch". None unless each half alone surely says something, and another thing.
+    """
+    from bunraku.language.reader import frames_of  # numpy
+
+    (words, spans), grammar = words_of(clause), lexicon().grammar
+    for number, word in enumerate(words[:-1]):
+        if number and word in grammar["to"] and words[number + 1] not in grammar["determiners"]:
+            halves = [clause[: spans[number][0]].strip(), clause[spans[number][1] :].strip()]
+            first, second = ({one.action for one in frames_of(half) if one.probability > SURELY} for half in halves)
+            if first and second and not first & second:
+                return halves
+    return []
 
 
 def _says(piece: str) -> bool:

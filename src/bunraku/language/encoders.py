@@ -202,9 +202,10 @@ class MiniLMEncoder:
         x += weights["embeddings.position_embeddings.weight"][: len(numbers)]
         return self._norm("embeddings.LayerNorm")(x + weights["embeddings.token_type_embeddings.weight"][0])
 
-    def layer(self, index: int) -> PostNorm:
-        """One of its six layers."""
-        return self._layers[index]
+    @property
+    def layers(self) -> Sequence[PostNorm]:
+        """Its six layers."""
+        return self._layers
 
     def hidden(self, sentence: str, depth: int) -> np.ndarray:
         """Tokens of a sentence behind the first `depth` layers, shape (L, 384), float32."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from typing import Any, NamedTuple
@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 __all__ = [
     "Action", "Lexicon", "Otherwise", "Pattern", "actions_of", "goes_ahead", "in_known_words", "is_cyclic", "lexicon",
     "locomotion_of", "longest_pattern", "main_actions", "said_cues", "said_otherwise", "said_phrases", "said_traits",
-    "stays_down", "words_of",
+    "stays_down", "uncovered", "words_of",
 ]  # fmt: skip
 
 
@@ -352,14 +352,20 @@ def longest_pattern(patterns: Iterable[Pattern], words: Sequence[str], start: in
 
 def actions_of(text: str) -> tuple[str, ...]:
     """Canonical words of a text in the order in which it says them; none where it says nothing known."""
-    rows = lexicon().actions
     found = said_phrases(text)["actions"]
-    covered: set[str] = set()
-    for action in found:
-        covered |= rows[action].covers
-    names = [action for action in rows if action in found and action not in covered]
-    names = [action for action in names if not rows[action].vague] or names
-    return tuple(sorted(names, key=found.__getitem__))
+    return tuple(sorted(uncovered(found), key=found.__getitem__))
+
+
+def uncovered(actions: Collection[str]) -> list[str]:
+    """Those of some actions that no other of them says already, without vague ones where others are clear."""
+    rows, covered = lexicon().actions, set[str]()
+    for action in actions:
+        if action in rows:
+            covered |= rows[action].covers
+    names = [action for action in rows if action in actions and action not in covered]
+    clear = [action for action in names if not rows[action].vague]
+    others = [action for action in actions if action not in rows]
+    return [*(clear or ([] if others else names)), *others]
 
 
 def main_actions(texts: Sequence[str]) -> tuple[str, ...]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from bunraku.errors import OptionError
 from bunraku.language import clauses as split
@@ -24,6 +25,9 @@ from bunraku.language.posing import Posing, Stance
 from bunraku.language.prompts import check_prompt, narrow, parse_sequence, timed_sequence
 from bunraku.language.sentence import Clause, Sentence, Turn
 from bunraku.language.understood import check_understood
+
+if TYPE_CHECKING:
+    from bunraku.language.reader import Frame
 
 __all__ = ["INSTEAD", "KINDS", "clause_of", "clauses_of", "for_body", "parse"]
 
@@ -63,6 +67,7 @@ def parse(prompt: str, seconds: float = 6.0, force: bool = False) -> Sentence:
     ]
     loop = any("loop" in said_traits(part.prompt) for part in parts)
     notes = [note for part in parts for note in part.notes]
+    notes += dict.fromkeys(_notes(frames, [part.english for part in parts]))
     return Sentence(
         prompt,
         "; ".join(part.english for part in parts),
@@ -73,6 +78,27 @@ def parse(prompt: str, seconds: float = 6.0, force: bool = False) -> Sentence:
         (*notes, "it asks for a loop: add --loop (loop=True in Python)") if loop else tuple(notes),
         loop=loop,
     )
+
+
+def _notes(clauses: Sequence[Clause], texts: Sequence[str]) -> Iterator[str]:
+    """What of some texts is done in another way, or not at all, in their clauses."""
+    from bunraku.language.reader import frames_of
+
+    done = set()
+    for clause in clauses:
+        frames = [frame for one in (clause, *clause.voices, *clause.parts) for frame in one.frames]
+        done |= {frame.action for frame in frames} | set(clause.actions)
+        for frame in frames:
+            if not frame.shown:
+                yield f"'{frame.action}' is not known, and nothing like it"
+            elif frame.shown != frame.action:
+                yield f"'{frame.action}' is not known; shown by what is nearest: {frame.shown}"
+        if not frames and clause.detail is None:
+            yield f"nothing known is named in '{clause.text}'; its motion is a guess"
+    for text in texts if len(clauses) > 1 else ():
+        for frame in frames_of(text):
+            if frame.action not in done:
+                yield f"left out: {frame.action}"
 
 
 def _with_stances(clauses: Iterable[Clause]) -> Iterator[Clause]:
@@ -87,7 +113,9 @@ def _with_stances(clauses: Iterable[Clause]) -> Iterator[Clause]:
         elif clause.actions:
             down = next((_STANCES[action] for action in reversed(clause.actions) if action in _STANCES), "")
             of_legs = any(lexicon().actions[action].part in ("", "legs") for action in clause.actions)
-            if stance is not None and not down and not of_legs:
+            if clause.stance is not None:
+                pass
+            elif stance is not None and not down and not of_legs:
                 clause = replace(clause, stance=stance)
             else:
                 stance = Stance(down) if down and "gets up" not in clause.traits else None
@@ -122,22 +150,48 @@ def clause_of(text: str, seconds: float = 0.0) -> Clause:
         things = body is not None or any(target.at in ("floor", "chair") for target in posing.targets)
         return clause if things and says_more(clause.detail) else replace(clause, detail=posing)
     voices = tuple(_clause(voice, seconds) for voice in split.split_voices(text))
-    parts = [] if voices else split.parts_of(text)
+    parts = [] if voices else split.parts_of(text) or split.passing(text)
     if not parts or seconds / len(parts) < split.SHORTEST_CLAUSE:
         return _clause(text, seconds, voices)
     return _clause(text, seconds, (), tuple(map(clause_of, parts, split.shared(parts, seconds))))
 
 
 def _clause(text: str, seconds: float, voices: tuple[Clause, ...] = (), parts: tuple[Clause, ...] = ()) -> Clause:
+    from bunraku.language.reader import frames_of  # numpy
+
     person, (subject, predicate) = split.of_person(text), subject_of(text)
-    cues, traits, actions = said_cues(person), said_traits(person), actions_of(person)
+    frames, phrased = frames_of(person), actions_of(person)
+    cues, traits = _with_fields(said_cues(person), frames), said_traits(person)
+    actions = tuple(dict.fromkeys(frame.shown for frame in frames if frame.shown))
+    counts = [int(frame.fields["count"]) for frame in frames if "count" in frame.fields]
     sided = {"left turn", "right turn", "left go", "right go"} & cues
     straight = ("forward" in cues or "goes on" in traits) and not sided and "winding" not in traits
     return Clause(
         text, seconds, subject, person, actions, split.moved_part(text), locomotion_of(predicate), cues, traits,
-        _turn(cues, traits, actions), straight, count_of(person), added_words(predicate, actions),
-        interaction_of(person), voices=voices, parts=parts,
+        _turn(cues, traits, actions), straight, count_of(person) or next(iter(counts), None),
+        added_words(predicate, actions) if set(actions) <= set(phrased) else (), interaction_of(person),
+        stance=next((Stance(stance) for frame in frames if (stance := _meanwhile(frame))), None), voices=voices,
+        parts=parts, frames=frames,
     )  # fmt: skip
+
+
+_CHOICES = tuple(
+    frozenset(cues.split(", "))
+    for cues in ("forward, backwards, left go, right go", "left turn, right turn", "quarter, half, full", "slow, fast")
+)
+"""Cues of one kind: where words say none, what the network reads counts."""
+
+
+def _with_fields(cues: frozenset[str], frames: Sequence[Frame]) -> frozenset[str]:
+    read = frozenset[str]().union(*(frame.cues for frame in frames))
+    return cues.union(*(read & choice for choice in _CHOICES if not choice & cues))
+
+
+def _meanwhile(frame: Frame) -> str:
+    """The stance in which something is done that is not the posture itself; "" where nothing is said of it."""
+    posture = frame.fields.get("posture", "")
+    of_arms = "arms" in lexicon().actions[frame.shown].part if frame.shown else False
+    return {"sitting": "seat", "kneeling": "kneel", "lying": "back", "crouching": "squat"}.get(posture, "") * of_arms
 
 
 def _turn(cues: frozenset[str], traits: frozenset[str], actions: tuple[str, ...]) -> Turn | None:

@@ -7,9 +7,9 @@ from __future__ import annotations
 import functools
 from collections.abc import Collection, Mapping, Sequence
 
+from bunraku.language.captions import caption_table
 from bunraku.language.lexicon import actions_of, lexicon, said_phrases, words_of
 from bunraku.language.vocabulary import FUNCTION_WORDS, action_stems, caption_stems, stem, stems
-from bunraku.language.word_table import table
 
 __all__ = [
     "added_words", "body_stems", "count_of", "does_else", "named_hands", "names_a_thing", "object_of", "tells_all",
@@ -127,7 +127,7 @@ def count_of(text: str) -> int | None:
 @functools.cache
 def body_stems() -> frozenset[str]:
     """Stems of words for parts of the body, but for those that are verbs: a spin is no spine."""
-    named = [word for row in table()["parts"] for word in row["en"].split("/")]
+    named = [word for row in caption_table("words.json")["parts"] for word in row["en"].split("/")]
     words, verbs = [*named, *lexicon().grammar["body"]], lexicon().lemmas
     roots = zip(words, stems(words), strict=True)
     return frozenset([root for word, root in roots if root == word or root not in verbs])

@@ -10,7 +10,9 @@ from collections.abc import Sequence
 from bunraku.core.request import WHOLE
 from bunraku.errors import OptionError
 
-__all__ = ["LONGEST", "SHORTEST", "check_prompt", "narrow", "parse_sequence", "split_name", "timed_sequence"]
+__all__ = [
+    "LONGEST", "SHORTEST", "check_prompt", "narrow", "parse_sequence", "plain_words", "split_name", "timed_sequence",
+]  # fmt: skip
 
 
 PROMPT_LIMIT = 1000
@@ -31,6 +33,20 @@ def narrow(text: str) -> str:
     if text.isascii():
         return text
     return "".join(plain if len(plain := unicodedata.normalize("NFKC", letter)) == 1 else letter for letter in text)
+
+
+def plain_words(text: str) -> str:
+    """A sentence or the name of a clip with a space between all words: "Walk_BackL45" is "Walk Back L 45"."""
+    out: list[str] = []
+    for at, letter in enumerate(text):
+        before, after = text[at - 1 : at], text[at + 1 : at + 2]
+        joined = (
+            (letter.isupper() and (before.islower() or (before.isupper() and after.islower())))
+            or (letter.isdigit() and before.isalpha())
+            or (letter.isalpha() and before.isdigit())
+        )  # fmt: skip
+        out.append(" " + letter if joined else " " if letter in "_-|/\\@()[]" else letter)
+    return " ".join("".join(out).split())
 
 
 def check_prompt(prompt: str) -> str:

@@ -8,9 +8,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 from bunraku.language.interactions import Interaction
 from bunraku.language.posing import Posing, Stance
+
+if TYPE_CHECKING:
+    from bunraku.language.reader import Frame
 
 __all__ = ["Clause", "Sentence", "Turn", "UnknownWord", "in_stretches"]
 
@@ -67,6 +71,7 @@ class Clause:
     # what it says one after the other if it cannot be done all at once (`clauses.parts_of`); none where it says one
     # thing
     parts: tuple[Clause, ...] = field(default=())
+    frames: tuple[Frame, ...] = ()  # what the reader says of it (`reader.frames_of`)
 
     @property
     def body(self) -> Clause:

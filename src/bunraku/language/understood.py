@@ -17,9 +17,9 @@ from bunraku.errors import OptionError
 from bunraku.language.interactions import interaction_of, thing_words
 from bunraku.language.lexicon import in_known_words, lexicon
 from bunraku.language.lexicon import words_of as words_in
-from bunraku.language.prompts import check_prompt, narrow
+from bunraku.language.prompts import check_prompt, narrow, plain_words
 from bunraku.language.sentence import UnknownWord
-from bunraku.language.vocabulary import FUNCTION_WORDS, corrected, nearest_sentences, says_action, words_of
+from bunraku.language.vocabulary import FUNCTION_WORDS, corrected, says_action, words_of
 
 if TYPE_CHECKING:
     from bunraku.language.translation import Translation
@@ -45,8 +45,14 @@ class Understanding:
     known: tuple[str, ...] = ()  # its words that are understood
     unknown: tuple[UnknownWord, ...] = ()  # those that are not, with their places in `prompt`
     corrected: tuple[tuple[str, str], ...] = ()  # words taken for typing errors, and what is read in their place
-    nearest: tuple[str, ...] = ()  # three known sentences like it, where a word is not understood
     denied: tuple[str, ...] = ()  # what it says that is not done, such as "does not walk"
+
+    @property
+    def nearest(self) -> tuple[str, ...]:
+        """Three sentences that say what is nearest to it, where it is not all understood."""
+        from bunraku.language.reader import nearest  # numpy
+
+        return nearest(self.english or self.prompt) if self.unknown or not self.ok else ()
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -78,6 +84,9 @@ def understood(prompt: str) -> Understanding:
     """
     check_prompt(prompt)
     plain = narrow(prompt)
+    if "_" in plain or (plain.isalnum() and plain not in (plain.lower(), plain.upper(), plain.title())):
+        found = understood(plain_words(plain))  # the name of a clip
+        return replace(found, prompt=prompt, unknown=_placed(found.unknown, prompt))
     if plain.isascii() and {word.known for word in words_of(plain)} <= {True}:
         found = _english(plain, "en")
     else:
@@ -88,6 +97,10 @@ def understood(prompt: str) -> Understanding:
             found = _foreign(plain, translation)
         else:
             found = _english(plain, "en" if translation.concepts else translation.language)
+    if not found.ok and found.english:
+        from bunraku.language.reader import frames_of  # numpy, which plain sentences need not
+
+        found = replace(found, ok=bool(frames_of(found.english)))
     denied, rest = _denied(found.english)
     if denied:
         found = replace(found, denied=denied, ok=found.ok and says_action(rest))
@@ -143,10 +156,9 @@ def _english(prompt: str, language: str) -> Understanding:
     known = [slips.get(word) or word.text for word in words if word.known or slips.get(word)]
     unknown = [word for word in words if not (word.known or slips.get(word))]
     ok = _says_something(text, known, len(words))
-    near = nearest_sentences(known, [word.text for word in unknown]) if unknown else ()
     return Understanding(
         prompt, text, ok, language, tuple(known), tuple(UnknownWord(*word[:3]) for word in unknown),
-        tuple((word.text, slip) for word, slip in slips.items() if slip), near,
+        tuple((word.text, slip) for word, slip in slips.items() if slip),
     )  # fmt: skip
 
 
@@ -173,14 +185,11 @@ def _foreign(prompt: str, translation: Translation) -> Understanding:
             unknown.append(word)
         else:
             known.append(word.word)
-    words = words_of(translation.english)
     ok = bool(translation.english) and says_action(translation.english)
     missing = sum(concept.stop - concept.start for concept in translation.concepts if concept.kind == "unknown")
     ok = ok and missing <= (1 - _SHARE) * sum(letter.isalnum() for letter in prompt)
-    near = nearest_sentences([word.text for word in words if word.known]) if unknown or not ok else ()
     return Understanding(
         prompt, translation.english or check_prompt(prompt), ok, translation.language, tuple(known), tuple(unknown),
-        (), near,
     )  # fmt: skip
 
 
@@ -213,7 +222,7 @@ def check_understood(prompt: str, force: bool = False) -> Understanding:
             "with --force (force=True in Python)"
         )
     what = _quoted(found.unknown) if found.unknown else f"'{' '.join(prompt.split())[:60]}'"
-    near = "; ".join(f"'{sentence}'" for sentence in found.nearest or nearest_sentences(found.known))
+    near = "; ".join(f"'{sentence}'" for sentence in found.nearest)
     raise OptionError(
         f"no movement is understood in the prompt ({what}); sentences like it that are understood: {near}; say it in "
         "other words, or go on with --force (force=True in Python)"

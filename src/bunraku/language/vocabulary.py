@@ -1,29 +1,23 @@
-"""Known words: those of the training sentences and of a user's own clips, corrected spelling, and the nearest known
-sentences.
-"""
+"""Known words: those of the training sentences and of a user's own clips, and corrected spelling."""
 
 from __future__ import annotations
 
 import functools
 import json
-import math
 import re
-from collections import Counter
-from collections.abc import Iterable, Sequence
-from importlib import resources
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from bunraku.core.files import atomic_write, read_bounded, weights_file
 from bunraku.errors import WeightsError
-from bunraku.language.captions import conjugate, creature_words, known_phrases
+from bunraku.language.captions import caption_table, creature_words, known_phrases
 from bunraku.language.lexicon import actions_of, lexicon
 from bunraku.language.tokenizer import word_pieces
-from bunraku.language.word_table import table
 
 __all__ = [
     "FILE", "FUNCTION_WORDS", "Word", "action_stems", "caption_stems", "corrected", "is_known", "known_words",
-    "nearest_sentences", "own_words", "says_action", "slips", "stem", "stems", "words_of", "write_own_words",
+    "own_words", "says_action", "slips", "stem", "stems", "words_of", "write_own_words",
 ]  # fmt: skip
 
 
@@ -104,19 +98,14 @@ def stems(words: Iterable[str]) -> list[str]:
 
 
 @functools.cache
-def _written() -> dict[str, Any]:
-    text = resources.files("bunraku.language").joinpath("vocabulary.json").read_text(encoding="utf-8")
-    content: dict[str, Any] = json.loads(text)
-    return content
-
-
-@functools.cache
 def known_words() -> dict[str, int]:
     """The words as they are written, with how many sentences have each; 1 for those of the tables, with names of
     characters and of parts of the body.
     """
-    written: dict[str, int] = _written()["words"]
-    named = [row["en"].replace("/", " ") for section in ("beings", "parts") for row in table()[section]]
+    written: dict[str, int] = caption_table("vocabulary.json")["words"]
+    named = [
+        row["en"].replace("/", " ") for section in ("beings", "parts") for row in caption_table("words.json")[section]
+    ]
     lexical = (*lexicon().words, *lexicon().verbs, *lexicon().grammar["other words"])
     listed = " ".join((*known_phrases(), *creature_words(), *named, *lexical))
     return (
@@ -135,7 +124,7 @@ def _stems() -> frozenset[str]:
 @functools.cache
 def caption_stems() -> frozenset[str]:
     """Stems of the words that watched captions share."""
-    return frozenset(stems(_written()["words"]))
+    return frozenset(stems(caption_table("vocabulary.json")["words"]))
 
 
 @functools.cache
@@ -143,15 +132,16 @@ def action_stems() -> frozenset[str]:
     """Stems of the verbs that training shows, without those that say no movement by themselves, and without those that
     are a part of the body, too.
     """
-    verbs = {*lexicon().verbs, *_written()["verbs"], *own_words()}
-    parts = [name for row in table()["parts"] for name in row["en"].split("/")]
+    verbs = {*lexicon().verbs, *caption_table("vocabulary.json")["verbs"], *own_words()}
+    parts = [name for row in caption_table("words.json")["parts"] for name in row["en"].split("/")]
     return (frozenset(stems(verbs)) & _stems()) - frozenset(stems([*parts, *lexicon().grammar["light verbs"]]))
 
 
 def is_known(word: str) -> bool:
     """Whether training had a word, in any inflection; of one with hyphens whether it had all parts."""
     plain = word.lower()
-    if any(plain in words for words in (FUNCTION_WORDS, lexicon().lemmas, lexicon().words, _written()["words"])):
+    written = caption_table("vocabulary.json")["words"]
+    if plain in FUNCTION_WORDS or plain in lexicon().lemmas or plain in lexicon().words or plain in written:
         return True
     table = _stems()
     if stem(word) in table or word.isdigit():
@@ -239,87 +229,3 @@ def _likely(word: str, other: str) -> bool:
         return True
     twice = [index for index in range(len(other)) if word[index] == word[index + 1]]
     return any(word[:index] + word[index + 1 :] == other for index in twice)
-
-
-_LONGEST, _MOST_UNKNOWN = 8, 4
-"""Words of a phrase that is shown, and unknown words that are looked up; each takes half a millisecond."""
-_SHORT, _LIKE = 5, (0.7, 0.5)
-"""Letters of a short word, and the share that it, or a longer one, has in common with a word like it; chosen by eye."""
-_DOING = ("do", "make", "take", "give")
-_PLAIN_WORD = re.compile(r"[a-z]+(?:['-][a-z]+)*")
-
-
-@functools.cache
-def _phrases() -> tuple[tuple[str, str, frozenset[str]], ...]:
-    """Each short caption as a sentence, its verb, and the stems of its words that say something."""
-    phrases = []
-    for phrase in known_phrases():
-        plain = conjugate(phrase, "plain")
-        words = _PLAIN_WORD.findall(plain)
-        verb = re.match(r"\{(\w+)\}", phrase)
-        if verb and len(words) <= _LONGEST and not phrase.startswith("{be}"):
-            stems = frozenset(stem(word) for word in words if word not in FUNCTION_WORDS)
-            phrases.append((f"a person {conjugate(phrase, 'third')}", verb.group(1), stems))
-    return tuple(phrases)
-
-
-@functools.cache
-def _index() -> tuple[dict[str, tuple[int, ...]], dict[str, float], dict[str, list[str]]]:
-    """Phrases by stem, the weight of each stem (rare ones say more), and stems by the pairs of letters in them."""
-    indices: dict[str, list[int]] = {}
-    for index, (_, _, stems) in enumerate(_phrases()):
-        for root in stems:
-            indices.setdefault(root, []).append(index)
-    weights = {root: math.log(1 + len(_phrases()) / len(where)) for root, where in indices.items()}
-    looks: dict[str, list[str]] = {}
-    for root in indices:
-        for pair in _pairs(root):
-            looks.setdefault(pair, []).append(root)
-    return {root: tuple(where) for root, where in indices.items()}, weights, looks
-
-
-def _pairs(word: str) -> frozenset[str]:
-    padded = f" {word} "
-    return frozenset(padded[index : index + 2] for index in range(len(padded) - 1))
-
-
-def _alike(word: str, most: int = 6) -> list[tuple[str, float]]:
-    """Stems that look like a word, and how much: by pairs of letters first, the best of them by their slips."""
-    pairs, looks = _pairs(word), _index()[2]
-    common = Counter(one for pair in pairs for one in looks.get(pair, ()))
-    first = sorted(common, key=lambda one: (-common[one] / (len(pairs) + len(one)), one))[:most]
-    return [(one, max(0.0, 1 - slips(word, one, 9) / max(len(word), len(one)))) for one in first]
-
-
-def nearest_sentences(words: Sequence[str], unknown: Sequence[str] = (), count: int = 3) -> tuple[str, ...]:
-    """Captions that share stems with a sentence, or have words that look like those that are not known.
-
-    Args:
-        words: The sentence's known words.
-        unknown: Its other words.
-        count: How many, each with a verb of its own.
-    """
-    where, weights, _ = _index()
-    scores: Counter[int] = Counter()
-    wanted = {stem(word): 1.0 for word in words if word.lower() not in FUNCTION_WORDS}
-    for word in unknown[:_MOST_UNKNOWN]:
-        for root, share in _alike(stem(word)):
-            if share < _LIKE[len(word) > _SHORT]:
-                continue
-            wanted[root] = max(wanted.get(root, 0.0), 0.5 * share)
-    for root, share in wanted.items():
-        for index in where.get(root, ()):
-            scores[index] += share * weights[root]  # type: ignore[assignment]
-    phrases = _phrases()
-    usual = Counter(verb for _, verb, _ in phrases if verb not in _DOING)  # where nothing is near: what is done most
-
-    def rank(index: int) -> tuple[float, int, int, int]:
-        _, verb, stems = phrases[index]
-        return -scores[index] / (2 + len(stems)), -usual[verb], len(stems), index
-
-    sentences: dict[str, str] = {}
-    for sentence, verb, _ in (phrases[index] for index in sorted(range(len(phrases)), key=rank)):
-        sentences.setdefault(verb, sentence)
-        if len(sentences) == count:
-            break
-    return tuple(sentences.values())

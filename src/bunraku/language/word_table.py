@@ -14,11 +14,10 @@ The English of a verb has its head in braces, and in angle brackets what it is d
 
 from __future__ import annotations
 
-import functools
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib import resources
+
+from bunraku.language.captions import caption_table
 
 __all__ = ["LANGUAGES", "Concept", "forms", "table"]
 
@@ -44,12 +43,9 @@ _KINDS = {
 }  # fmt: skip
 
 
-@functools.cache
 def table() -> dict[str, list[dict[str, str]]]:
     """The rows of each section."""
-    text = resources.files("bunraku.language").joinpath("words.json").read_text(encoding="utf-8")
-    content: dict[str, list[dict[str, str]]] = json.loads(text)
-    return content
+    return caption_table("words.json")
 
 
 def forms(language: str, fold: Callable[[str], str] = str) -> list[tuple[str, str, str, int]]:

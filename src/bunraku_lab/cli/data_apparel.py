@@ -10,8 +10,8 @@ from typing import Annotated
 
 import tyro
 
+from bunraku.cli.options import parse_jobs
 from bunraku.cli.outputs import check_folder, check_range, check_source, stages
-from bunraku.core.parallel import parse_jobs
 from bunraku.errors import FormatError, OptionError
 
 

@@ -8,8 +8,8 @@ from typing import Annotated, Any
 
 import tyro
 
+from bunraku.cli.options import parse_jobs
 from bunraku.cli.outputs import check_input, check_range, check_source, stages
-from bunraku.core.parallel import parse_jobs
 from bunraku.errors import FormatError, OptionError
 from bunraku_lab.cli.evaluate_motion import Printed
 from bunraku_lab.evaluation.report import Report, Table, bar_table

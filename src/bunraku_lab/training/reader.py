@@ -1,6 +1,5 @@
-"""Training of the reader of sentences (`bunraku_lab.nn.reader_inference`): composed sentences are run through the
-layers of the text encoder that stay as they are, and kept; then the reader's own layers and heads are trained on what
-was kept.
+"""Training of the reader of sentences (`bunraku.language.reader`): sentences are composed while it learns, run through
+the text encoder with a small change of each of its layers (Hu et al. 2021), and the change and the heads are learned.
 """
 
 from __future__ import annotations
@@ -8,17 +7,19 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from bunraku.core.files import atomic_write
-from bunraku.core.nn.checkpoints import save_checkpoint
+from bunraku.core.nn import layers as numpy_layers
+from bunraku.core.nn.checkpoints import load_checkpoint, save_checkpoint
 from bunraku.errors import OptionError
 from bunraku.language.encoders import TEXT_LENGTH, MiniLMEncoder
-from bunraku_lab.nn.reader_inference import DEPTH, FIELDS, KIND, quantised
+from bunraku.language.lexicon import actions_of
+from bunraku.language.reader import FIELDS, KIND, dequantised
 from bunraku_lab.training.reader_sentences import (
     HELD_OUT,
     NOTHING,
@@ -26,48 +27,52 @@ from bunraku_lab.training.reader_sentences import (
     Composed,
     Composer,
     drawn,
+    grammar,
     phrases_of,
     weak_sentences,
 )
 from bunraku_lab.training.runs.run import AveragedRun, StepSettings, TrainingNote
 
-__all__ = [
-    "Kept",
-    "ReaderNetwork",
-    "ReaderTrainConfig",
-    "ReaderTrainer",
-    "keep",
-    "make_sentences",
-    "packed",
-    "train_reader",
-]
+__all__ = ["Batch", "ReaderNetwork", "ReaderTrainConfig", "ReaderTrainer", "batches", "packed", "train_reader"]
 
-SHARD = 4096
-"""Sentences in a file."""
+POOL = 4096
+"""Sentences that are composed at a time, and sorted into batches of one length each."""
 DROPPED = 0.1
 """Share of hidden states that are left out in training (Srivastava et al. 2014), as in BERT."""
+STEPS = 127
+"""The largest number that int8 has on both sides of zero."""
+
+
+class Changed(nn.Module):
+    """A linear layer of the encoder, and a change of low rank, which alone is learned."""
+
+    matrix: Tensor
+    bias: Tensor
+
+    def __init__(self, given: numpy_layers.Linear, rank: int):
+        super().__init__()
+        assert given.bias is not None
+        self.register_buffer("matrix", torch.tensor(np.ascontiguousarray(given.matrix.T)), persistent=False)
+        self.register_buffer("bias", torch.tensor(given.bias), persistent=False)
+        out, enter = self.matrix.shape
+        self.down = nn.Parameter(torch.randn(rank, enter) / enter**0.5)
+        self.up = nn.Parameter(torch.zeros(out, rank))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Shape (..., in) -> (..., out)."""
+        return F.linear(x, self.matrix, self.bias) + F.linear(F.linear(x, self.down), self.up)
 
 
 class Layer(nn.Module):
-    """A layer of BERT, with the weights of the encoder's."""
+    """A layer of the encoder, changed."""
 
-    def __init__(self, width: int = 384, wide: int = 1536, heads: int = 12):
+    def __init__(self, given: numpy_layers.PostNorm, rank: int):
         super().__init__()
-        self.heads = heads
-        self.query, self.key, self.value, self.leave = (nn.Linear(width, width) for _ in range(4))
-        self.wide, self.narrow = nn.Linear(width, wide), nn.Linear(wide, width)
-        self.norm_a, self.norm_b = nn.LayerNorm(width, eps=1e-12), nn.LayerNorm(width, eps=1e-12)
-
-    def take(self, encoder: MiniLMEncoder, index: int) -> None:
-        """Begin as a layer of the encoder."""
-        layer = encoder.layer(index)
-        for name in ("query", "key", "value", "leave", "wide", "narrow"):
-            own, given = getattr(self, name), getattr(layer, name)
-            own.weight.data = torch.tensor(np.ascontiguousarray(given.matrix.T))
-            own.bias.data = torch.tensor(given.bias)
-        for name in ("norm_a", "norm_b"):
-            own, given = getattr(self, name), getattr(layer, name)
-            own.weight.data, own.bias.data = torch.tensor(given.scale), torch.tensor(given.shift)
+        self.heads = given.heads
+        self.query, self.key, self.value = (Changed(one, rank) for one in (given.query, given.key, given.value))
+        self.leave, self.wide, self.narrow = (Changed(one, rank) for one in (given.leave, given.wide, given.narrow))
+        self.norms = [(torch.tensor(one.scale), torch.tensor(one.shift)) for one in (given.norm_a, given.norm_b)]
+        self.epsilon = given.norm_a.epsilon
 
     def forward(self, x: Tensor) -> Tensor:
         """Shape (B, L, C) -> (B, L, C)."""
@@ -75,8 +80,10 @@ class Layer(nn.Module):
             part(x).unflatten(-1, (self.heads, -1)).transpose(1, 2) for part in (self.query, self.key, self.value)
         )
         mixed = F.scaled_dot_product_attention(query, key, value).transpose(1, 2).flatten(2)
-        x = self.norm_a(x + F.dropout(self.leave(mixed), DROPPED, self.training))
-        return self.norm_b(x + F.dropout(self.narrow(F.gelu(self.wide(x))), DROPPED, self.training))  # type: ignore[no-any-return]
+        x = x + F.dropout(self.leave(mixed), DROPPED, self.training)
+        x = F.layer_norm(x, x.shape[-1:], *self.norms[0], self.epsilon)
+        x = x + F.dropout(self.narrow(F.gelu(self.wide(x))), DROPPED, self.training)
+        return F.layer_norm(x, x.shape[-1:], *self.norms[1], self.epsilon)
 
 
 class ReaderNetwork(nn.Module):
@@ -84,25 +91,31 @@ class ReaderNetwork(nn.Module):
 
     Args:
         actions: How many.
-        layers: Behind those of the encoder.
+        encoder: Whose layers it changes.
+        rank: Of the changes.
     """
 
-    def __init__(self, actions: int, layers: int = 2):
+    def __init__(self, actions: int, encoder: MiniLMEncoder, rank: int = 16):
         super().__init__()
-        self.layers = nn.ModuleList(Layer() for _ in range(layers))
+        self.layers = nn.ModuleList(Layer(layer, rank) for layer in encoder.layers)
         self.query, self.value = nn.Linear(384, actions), nn.Linear(384, actions)
         self.fields = nn.Linear(384, sum(1 + len(values) for values in FIELDS.values()))
         nn.init.zeros_(self.query.weight)
         nn.init.normal_(self.value.weight, std=0.02)
         nn.init.constant_(self.value.bias, -5.0)
 
-    def forward(self, hidden: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def forward(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Of each action what stands before the logistic function, (B, A), and the attention, (B, L, A); tokens."""
-        hidden = F.dropout(hidden, DROPPED, self.training)
         for layer in self.layers:
-            hidden = layer(hidden)
-        weight = self.query(hidden).softmax(1)
-        return (weight * self.value(hidden)).sum(1), weight, hidden
+            x = layer(x)
+        weight = self.query(x).softmax(1)
+        return (weight * self.value(x)).sum(1), weight, x
+
+
+def quantised(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A matrix in steps, int8, and the size of the steps of each column, float32."""
+    scale = np.maximum(np.abs(matrix).max(0), 1e-12) / STEPS
+    return np.round(matrix / scale).astype(np.int8), scale.astype(np.float32)
 
 
 def packed(network: ReaderNetwork) -> dict[str, np.ndarray]:
@@ -117,80 +130,44 @@ def packed(network: ReaderNetwork) -> dict[str, np.ndarray]:
     return state
 
 
-@dataclass(frozen=True)
-class Kept:
-    """Sentences of one file, sorted by length.
+class Batch(NamedTuple):
+    """Sentences of one length.
 
     Args:
-        hidden: Their tokens behind `DEPTH` layers, one after the other, shape (T, 384), float16.
-        starts: Where each begins, shape (S + 1,).
+        x: What the first layer reads of their tokens, shape (B, L, 384).
         said: A row for each action that is named: sentence, action, first token, one after the last (0, 0: anywhere),
             fields.
+        texts: The sentences.
     """
 
-    hidden: np.ndarray
-    starts: np.ndarray
-    said: np.ndarray
-
-    @classmethod
-    def read(cls, path: Path) -> Kept:
-        """Of a file without its ending."""
-        with np.load(path.with_suffix(".npz")) as file:
-            return cls(np.load(path.with_suffix(".npy"), mmap_mode="r"), file["starts"], file["said"])
-
-    def batches(self, size: int) -> list[np.ndarray]:
-        """Numbers of sentences of the same length, at most `size` together."""
-        lengths = np.diff(self.starts)
-        groups = [np.flatnonzero(lengths == length) for length in np.unique(lengths)]
-        return [group[at : at + size] for group in groups for at in range(0, len(group), size)]
-
-    def tokens(self, rows: np.ndarray) -> Tensor:
-        """Of sentences of one length, shape (B, L, 384)."""
-        length = int(self.starts[rows[0] + 1] - self.starts[rows[0]])
-        at = self.starts[rows][:, None] + np.arange(length)
-        return torch.from_numpy(self.hidden[at].astype(np.float32))
-
-    def labels(self, rows: np.ndarray) -> Tensor:
-        """The rows of `said` of these sentences, which are counted from 0."""
-        low, high = np.searchsorted(self.said[:, 0], [rows[0], rows[-1] + 1])
-        chosen = self.said[low:high]
-        chosen = chosen[np.isin(chosen[:, 0], rows)].copy()
-        chosen[:, 0] = np.searchsorted(rows, chosen[:, 0])
-        return torch.from_numpy(chosen)
+    x: Tensor
+    said: Tensor
+    texts: tuple[str, ...]
 
 
-def keep(path: Path, sentences: Sequence[Composed], actions: Sequence[str], encoder: MiniLMEncoder) -> None:
-    """Run sentences through the layers of the encoder that stay, and write them."""
-    layers = [Layer().eval() for _ in range(DEPTH)]
-    for index, layer in enumerate(layers):
-        layer.take(encoder, index)
+def batches(sentences: Sequence[Composed], actions: Sequence[str], encoder: MiniLMEncoder, size: int) -> list[Batch]:
+    """Sentences by their lengths, at most `size` together."""
     number = {action: at for at, action in enumerate(actions)}
-    read = []
+    first, *_, last = encoder.numbers("a")
+    by_length: dict[int, list[tuple[list[int], np.ndarray, Composed]]] = {}
     for sentence in sentences:
         parts = [(encoder.numbers(piece)[1:-1], clause) for piece, clause in sentence.pieces]
         owner = np.array([-2, *(clause for part, clause in parts for _ in part)][: TEXT_LENGTH - 1] + [-2])
         inner = [one for part, _ in parts for one in part][: TEXT_LENGTH - 2]
-        first, *_, last = encoder.numbers("a")
-        read.append(([first, *inner, last], owner, sentence.said))
-    read.sort(key=lambda one: len(one[0]))
-    starts = np.cumsum([0, *(len(numbers) for numbers, _, _ in read)])
-    hidden, said = np.empty((starts[-1], 384), np.float16), []
-    for row, (_, owner, named) in enumerate(read):
-        for action, clause, fields in named:
-            own = np.flatnonzero((owner == clause) & (clause >= 0))
-            span = (own[0], own[-1] + 1) if len(own) else (0, 0)
-            said.append((row, number[action], *span, *fields.values()))
-    kept = Kept(hidden, starts, np.array(said, np.int64))
-    with torch.no_grad():
-        for rows in kept.batches(128):
-            x = torch.tensor(np.stack([encoder.embedded(read[row][0]) for row in rows]))
-            for layer in layers:
-                x = layer(x)
-            hidden[starts[rows[0]] : starts[rows[-1] + 1]] = x.reshape(-1, 384).numpy()
-    with atomic_write(path.with_suffix(".npy")) as file:
-        np.save(file, hidden)
-    with atomic_write(path.with_suffix(".npz")) as file:
-        np.savez(file, starts=starts, said=kept.said)
+        by_length.setdefault(len(owner), []).append(([first, *inner, last], owner, sentence))
+    found = []
+    for alike in by_length.values():
+        for start in range(0, len(alike), size):
+            rows, said = alike[start : start + size], []
+            for row, (_, owner, sentence) in enumerate(rows):
+                for action, clause, fields in sentence.said:
+                    own = np.flatnonzero((owner == clause) & (clause >= 0))
+                    span = (own[0], own[-1] + 1) if len(own) else (0, 0)
+                    said.append((row, number[action], *span, *fields.values()))
+            x = torch.from_numpy(np.stack([encoder.embedded(numbers) for numbers, _, _ in rows]))
+            labels = torch.tensor(said, dtype=torch.int64).reshape(-1, 4 + len(FIELDS))
+            found.append(Batch(x, labels, tuple(sentence.text for _, _, sentence in rows)))
+    return found
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -200,105 +177,94 @@ class ReaderTrainConfig(StepSettings):
     Args:
         phrases: Files with an action, a tab and a phrase in each line.
         data: Folder with `captions_watched.json` and `captions_asked.tsv`.
-        sentences: How many are composed, in files that are made first; what is there is kept.
-        layers: Of the reader.
+        rank: Of the changes of the encoder's layers.
+        held_out: Sentences to validate on.
+        begin: A checkpoint of a reader of the same actions to begin with; None begins with the encoder.
     """
 
     phrases: tuple[Path, ...] = ()
     data: Path = Path("shared/data")
     out: Path = Path("runs/reader")
-    minutes: float = 35.0
+    minutes: float = 20.0
     batch: int = 64
-    rate: float = 3e-4
-    warmup: int = 200
-    decay: float = 0.998
-    validate_every: int = 500
-    sentences: int = 160_000
-    layers: int = 2
+    rate: float = 6e-4
+    warmup: int = 100
+    decay: float = 0.995
+    validate_every: int = 400
+    rank: int = 16
+    held_out: int = 1536
+    begin: Path | None = None
 
 
 class ReaderTrainer(AveragedRun[ReaderNetwork]):
-    """One training run in memory.
+    """One training run in memory. The checkpoint is that of the validation with the lowest loss.
 
     Args:
         config: Settings.
         actions: Their names, in order.
-        shards: Finds the files to train on, which may grow in number.
-        held_out: To validate on.
+        composer: Makes the sentences to learn.
+        held_out: Sentences to validate on.
     """
 
     kind = KIND
     columns = ("loss", "named", "attended", "fields", "rate")
 
     def __init__(
-        self,
-        config: ReaderTrainConfig,
-        actions: Sequence[str],
-        shards: Callable[[], list[Path]],
-        held_out: Sequence[Kept],
+        self, config: ReaderTrainConfig, actions: Sequence[str], composer: Composer, held_out: Sequence[Composed]
     ):
-        self.config, self.actions, self.shards, self.held_out = config, list(actions), shards, list(held_out)
-        encoder = MiniLMEncoder()
-
-        def prepare(model: ReaderNetwork) -> None:
-            for index, layer in enumerate(model.layers):
-                assert isinstance(layer, Layer)
-                layer.take(encoder, DEPTH + index)
-
-        self.set_up(lambda: ReaderNetwork(len(actions), config.layers), prepare)
+        self.config, self.actions, self.composer = config, list(actions), composer
+        self.encoder, self.best = MiniLMEncoder(), np.inf
+        self.held_out = batches(held_out, actions, self.encoder, 128)
+        self.set_up(lambda: ReaderNetwork(len(actions), self.encoder, config.rank), self._begin)
         self.batches = self._batches()
 
-    def _batches(self) -> Iterator[tuple[Kept, np.ndarray]]:
-        """Batches of several files at a time, in any order, again and again."""
+    def _begin(self, model: ReaderNetwork) -> None:
+        if self.config.begin is not None:
+            state, _ = load_checkpoint(self.config.begin, KIND)
+            model.load_state_dict({
+                name: torch.tensor(value.T if value.ndim == 2 else value) for name, value in dequantised(state).items()
+            })  # fmt: skip
+
+    def _batches(self) -> Iterator[Batch]:
         while True:
-            paths = self.shards()
-            for index in (order := self.rng.permutation(len(paths)))[::4]:
-                group = order[list(order).index(index) :][:4]
-                kept = [Kept.read(paths[one]) for one in group]
-                both = [(one, rows) for one in kept for rows in one.batches(self.config.batch)]
-                for at in self.rng.permutation(len(both)):
-                    yield both[at]
+            pool = [self.composer.sentence() for _ in range(POOL)]
+            made = batches(pool, self.actions, self.encoder, self.config.batch)
+            for at in self.rng.permutation(len(made)):
+                yield made[at]
 
     def step_loss(self) -> tuple[Tensor, dict[str, float]]:
         """The loss of a batch."""
-        parts = self.losses(self.model, *next(self.batches))
+        parts = self.losses(self.model, next(self.batches))
         figures = dict(zip(("named", "attended", "fields"), (float(part.detach()) for part in parts), strict=True))
         return parts[0] + 0.3 * parts[1] + 0.3 * parts[2], figures
 
-    def losses(self, model: ReaderNetwork, kept: Kept, rows: np.ndarray) -> tuple[Tensor, Tensor, Tensor]:
+    def losses(self, model: ReaderNetwork, batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
         """Cross-entropies: of the actions, a sum over actions and a mean over sentences; of the attention of those that
         are named to their clause; and of the fields that are known.
         """
-        logits, weight, hidden = model(kept.tokens(rows))
-        said = kept.labels(rows)
+        logits, weight, hidden = model(batch.x)
+        said, count = batch.said, len(batch.x)
         row, action = said[:, 0], said[:, 1]
-        target = torch.zeros_like(logits)
-        target[row, action] = 1
-        named = F.binary_cross_entropy_with_logits(logits, target, reduction="sum") / len(rows)
+        named = F.binary_cross_entropy_with_logits(logits, _target(logits, said), reduction="sum") / count
         own = weight[row, :, action]
         at = torch.arange(own.shape[1])[None]
         inside = (at >= said[:, 2:3]) & (at < said[:, 3:4])
         spans = inside.any(1)
-        attended = -((own * inside).sum(1)[spans] + 1e-6).log().sum() / len(rows)
+        attended = -((own * inside).sum(1)[spans] + 1e-6).log().sum() / count
         values = model.fields(torch.einsum("nl,nlc->nc", own, hidden[row]))
         fields, start = logits.new_zeros(()), 0
         for index, options in enumerate(FIELDS.values()):
             part = values[:, start : start + 1 + len(options)]
             fields = fields + F.cross_entropy(part, said[:, 4 + index], ignore_index=UNKNOWN, reduction="sum")
             start += 1 + len(options)
-        return named, attended, fields / len(rows)
+        return named, attended, fields / count
 
     @torch.no_grad()
     def scored(self) -> tuple[Tensor, Tensor]:
         """What the averaged network says of the held-out sentences before the logistic function, and what is true."""
         self.average.eval()
-        logits, truth = [], []
-        for kept in self.held_out:
-            for rows in kept.batches(256):
-                logits.append(self.average(kept.tokens(rows))[0])
-                said, target = kept.labels(rows), torch.zeros_like(logits[-1])
-                target[said[:, 0], said[:, 1]] = 1
-                truth.append(target)
+        logits = [self.average(batch.x)[0] for batch in self.held_out]
+        truth = [_target(some, batch.said) for some, batch in zip(logits, self.held_out, strict=True)]
         return torch.cat(logits), torch.cat(truth)
 
     def validate(self) -> dict[str, float]:
@@ -314,54 +280,64 @@ class ReaderTrainer(AveragedRun[ReaderNetwork]):
             "validation": float(F.binary_cross_entropy_with_logits(logits, truth, reduction="sum") / len(logits)),
         }
 
-    def temperature(self) -> float:
-        """What the logits are divided by for the best likelihood on the held-out sentences."""
+    def shares(self) -> list[float]:
+        """What makes probabilities of the network and the lexicon's phrases together (`Reader.shares`): the logistic
+        regression on the held-out sentences.
+        """
         logits, truth = self.scored()
-        tried = np.linspace(0.6, 2.5, 39)
-        return float(min(tried, key=lambda one: float(F.binary_cross_entropy_with_logits(logits / one, truth))))
+        texts = [text for batch in self.held_out for text in batch.texts]
+        phrased = torch.tensor([[one in said for one in self.actions] for said in map(actions_of, texts)])
+        agreed = phrased & (logits == logits.max(1, keepdim=True).values)
+        shares = torch.tensor([1.0, 0.0, 0.0, 0.0], requires_grad=True)
+        search = torch.optim.LBFGS([shares], max_iter=100)
+
+        def loss() -> Tensor:
+            search.zero_grad()
+            said = shares[0] * logits + shares[1] * phrased + shares[2] * agreed + shares[3]
+            found = F.binary_cross_entropy_with_logits(said, truth)
+            found.backward()  # type: ignore[no-untyped-call]
+            return found
+
+        search.step(loss)  # type: ignore[no-untyped-call, arg-type]
+        return [round(float(one), 4) for one in shares.detach()]
 
     def write(self, note: TrainingNote) -> Path:
-        """Write the checkpoint as it is read: matrices (in, out) in steps of int8."""
-        temperature = self.temperature() if self.held_out else 1.0
-        config = {"actions": self.actions, "temperature": temperature, **note}
+        """Write the checkpoint as it is read, unless an earlier one is better."""
+        loss = note["results"].get("validation", np.inf)
+        if loss > self.best and self.checkpoint.is_file():
+            return self.checkpoint
+        self.best = loss
+        shares = self.shares() if self.held_out else [1.0, 0.0, 0.0, 0.0]
+        config = {"actions": self.actions, "shares": shares, "instead": grammar()["instead"], **note}
         return save_checkpoint(self.checkpoint, packed(self.average), config, self.kind)
 
 
+def _target(logits: Tensor, said: Tensor) -> Tensor:
+    target = torch.zeros_like(logits)
+    target[said[:, 0], said[:, 1]] = 1
+    return target
+
+
 def train_reader(config: ReaderTrainConfig, report: Callable[[dict[str, float]], None] | None = None) -> Path:
-    """Train, or go on training, and return the path of the averaged weights. Sentences are made first, and may go on
-    being made by another process that calls `make_sentences`.
+    """Train, or go on training, and return the path of the averaged weights.
 
     Raises:
         OptionError: A setting is out of range, or the run folder belongs to another network.
         FormatError: The phrases or captions are missing or damaged.
     """
     config.prepare()
-    make_sentences(config)
-    actions = [one for one in phrases_of(config.phrases) if one != NOTHING]
-    held = [Kept.read(path) for path in _shards(config.out, "val")]
-    return ReaderTrainer(config, actions, lambda: _shards(config.out, "train"), held).learn(report)
-
-
-def make_sentences(config: ReaderTrainConfig) -> None:
-    """Compose sentences and keep them in the run's folder; files that are there are not made again."""
-    phrases, encoder = phrases_of(config.phrases), MiniLMEncoder()
-    if not phrases.keys() - {NOTHING}:
-        raise OptionError("no phrase names an action; give files of actions and phrases")
+    phrases = phrases_of(config.phrases)
     actions = [one for one in phrases if one != NOTHING]
-    counts = {"val": 1, "train": max(config.sentences // SHARD, 1)}
-    for split, count in counts.items():
+    if not actions:
+        raise OptionError("no phrase names an action; give files of actions and phrases")
+    composers = {}
+    for split in ("train", "val"):
         own = {
             action: chosen
             for action, some in phrases.items()
             if (chosen := [one for one in some if (drawn(one) < HELD_OUT) == (split == "val")])
         }
         weak = [one for one in weak_sentences(config.data, split) if set(one[1]) <= set(actions)]
-        for index in range(count):
-            path = config.out / f"{split}_{index:03}"
-            if not path.with_suffix(".npz").is_file():
-                composer = Composer(own, weak, config.seed * 1000 + index)
-                keep(path, [composer.sentence() for _ in range(SHARD)], actions, encoder)
-
-
-def _shards(folder: Path, split: str) -> list[Path]:
-    return sorted(path.with_suffix("") for path in folder.glob(f"{split}_*.npz"))
+        composers[split] = Composer(own, weak, config.seed * 1000)
+    held_out = [composers["val"].sentence() for _ in range(config.held_out)]
+    return ReaderTrainer(config, actions, composers["train"], held_out).learn(report)

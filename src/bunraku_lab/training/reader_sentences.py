@@ -18,10 +18,11 @@ import numpy as np
 
 from bunraku.errors import FormatError
 from bunraku.language.lexicon import actions_of, lexicon
+from bunraku.language.prompts import plain_words
+from bunraku.language.reader import FIELDS
 from bunraku_lab.datasets.motions.build import split_of
-from bunraku_lab.nn.reader_inference import FIELDS, plain_words
 
-__all__ = ["HELD_OUT", "NOTHING", "UNKNOWN", "Composed", "Composer", "drawn", "phrases_of", "weak_sentences"]
+__all__ = ["HELD_OUT", "NOTHING", "UNKNOWN", "Composed", "Composer", "drawn", "grammar", "phrases_of", "weak_sentences"]
 
 NOTHING = "none"
 UNKNOWN = -1

@@ -10,9 +10,9 @@ import pytest
 
 from bunraku.errors import FormatError, OptionError
 from bunraku.language.encoders import MiniLMEncoder
-from bunraku_lab.nn.reader_inference import DEPTH, FIELDS, load_reader
+from bunraku.language.reader import FIELDS, dequantised, load_reader
 from bunraku_lab.training import reader as training
-from bunraku_lab.training.reader import Kept, ReaderTrainConfig, make_sentences
+from bunraku_lab.training.reader import ReaderTrainConfig
 from bunraku_lab.training.reader_sentences import Composed, Composer, phrases_of
 
 VERBS = {"walk": "walks", "jump": "jumps", "wave": "waves", "idle": "stands", "none": "blinks", "sidestep": "strafes"}
@@ -39,7 +39,7 @@ def config(tmp_path: Path) -> ReaderTrainConfig:
     (tmp_path / "captions_watched.json").write_text(json.dumps({"clips": {}}), encoding="utf-8")
     (tmp_path / "captions_asked.tsv").write_text("", encoding="utf-8")
     return ReaderTrainConfig(
-        phrases=(tmp_path / "phrases.tsv",), data=tmp_path, out=tmp_path / "run", sentences=64, minutes=0,
+        phrases=(tmp_path / "phrases.tsv",), data=tmp_path, out=tmp_path / "run", held_out=32, minutes=0,
         batch=8, validate_every=4, warmup=1, rate=1e-3, steps=12,
     )  # fmt: skip
 
@@ -57,7 +57,7 @@ def test_sentences_name_what_their_clauses_are_made_of(config: ReaderTrainConfig
     assert again.sentence().text == Composer(phrases, [("a person walks on", ("walk",))], 1).sentence().text
 
 
-def test_what_is_kept_is_what_the_encoder_says(tmp_path: Path) -> None:
+def test_batches_have_what_the_encoder_reads() -> None:
     none = dict.fromkeys(FIELDS, 0)
     sentences = [
         Composed(
@@ -66,25 +66,33 @@ def test_what_is_kept_is_what_the_encoder_says(tmp_path: Path) -> None:
         Composed([("blinks", 0)]),
     ]
     encoder = MiniLMEncoder()
-    training.keep(tmp_path / "some", sentences, ["walk", "wave"], encoder)
-    kept = Kept.read(tmp_path / "some")
-    (short,), (long,) = kept.batches(4)
-    np.testing.assert_allclose(kept.tokens(np.array([long]))[0], encoder.hidden(sentences[0].text, DEPTH), atol=5e-3)
-    assert kept.labels(np.array([short])).shape[0] == 0
+    long, short = training.batches(sentences, ["walk", "wave"], encoder, 4)
+    np.testing.assert_array_equal(long.x[0], encoder.embedded(encoder.numbers(sentences[0].text)))
+    assert len(short.said) == 0
     count = 4 + list(FIELDS).index("count")
-    assert [(int(row[1]), int(row[2]), int(row[3]), int(row[count])) for row in kept.labels(np.array([long]))] == [
+    assert [(int(row[1]), int(row[2]), int(row[3]), int(row[count])) for row in long.said] == [
         (0, 1, 3, 0), (1, 4, 6, 2),
     ]  # fmt: skip
 
 
+def test_steps_are_as_near_as_they_can_be() -> None:
+    matrix = np.random.default_rng(0).normal(size=(40, 7)).astype(np.float32)
+    steps, scale = training.quantised(matrix)
+    again = dequantised({"a": steps, "a.scale": scale})["a"]
+    assert np.all(np.abs(again - matrix) <= 0.5001 * scale)
+
+
 def test_a_run_learns_and_goes_on(config: ReaderTrainConfig, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(training, "SHARD", 32)
+    monkeypatch.setattr(training, "POOL", 32)
     rows: list[dict[str, float]] = []
     path = training.train_reader(config, rows.append)
     assert [row["step"] for row in rows] == [4, 8, 12] and rows[-1]["validation"] < rows[0]["validation"]
     assert {"walk", "jump"} <= set(load_reader(path).actions) and "none" not in load_reader(path).actions
     training.train_reader(ReaderTrainConfig(**{**vars(config), "steps": 13}), rows.append)
     assert rows[-1]["step"] == 13
+    begun = ReaderTrainConfig(**{**vars(config), "out": config.out / "more", "steps": 4, "begin": path})
+    training.train_reader(begun, rows.append)
+    assert rows[-1]["validation"] < rows[0]["validation"]
 
 
 def test_what_is_missing_is_said(config: ReaderTrainConfig, tmp_path: Path) -> None:
@@ -92,4 +100,4 @@ def test_what_is_missing_is_said(config: ReaderTrainConfig, tmp_path: Path) -> N
         phrases_of([tmp_path / "absent.tsv"])
     (tmp_path / "bare.tsv").write_text("blinks\n", encoding="utf-8")
     with pytest.raises(OptionError, match="phrase"):
-        make_sentences(ReaderTrainConfig(**{**vars(config), "phrases": (tmp_path / "bare.tsv",)}))
+        training.train_reader(ReaderTrainConfig(**{**vars(config), "phrases": (tmp_path / "bare.tsv",)}))

@@ -20,7 +20,7 @@ __all__ = ["NO_HANDLE", "handle_of_joints", "limb_parents", "resolve_joints", "r
 
 
 NO_HANDLE = -1
-_H = {name: index for index, name in enumerate(HANDLE_NAMES)}
+_H = dict(zip(HANDLE_NAMES, range(len(HANDLE_NAMES)), strict=True))
 _LIMB_KINDS = ("shoulder", "elbow", "leg")
 
 
@@ -409,8 +409,8 @@ def limb_parents(handles: np.ndarray, parents: Sequence[int] | np.ndarray, posit
 
 
 _CLEAR = 0.85  # least cosine between a direction and the axis that it is taken for
-_TOPS = [HANDLE_NAMES.index(name) for name in ("left_hip", "right_hip")]
-_FEET = [HANDLE_NAMES.index(f"{side}_{part}") for part in ("foot", "ankle", "knee") for side in ("left", "right")]
+_TOPS = [_H["left_hip"], _H["right_hip"]]
+_FEET = list(map(_H.__getitem__, ["left_foot", "right_foot", "left_ankle", "right_ankle", "left_knee", "right_knee"]))
 
 
 def rig_axes(

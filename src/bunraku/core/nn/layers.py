@@ -38,16 +38,22 @@ Rotary = tuple[np.ndarray, np.ndarray]
 
 
 class Linear(NamedTuple):
-    """`x @ matrix + bias`, with a matrix (C, D) and a bias (D,) or None."""
+    """`x @ matrix + bias`, with a matrix (C, D) and a bias (D,) or None, and a change of the matrix of low rank (Hu et
+    al. 2021): (C, R) and (R, D).
+    """
 
     matrix: np.ndarray
     bias: np.ndarray | None
+    change: tuple[np.ndarray, np.ndarray] | None = None
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """Shape (..., C) -> (..., D): one product whatever the leading shape."""
-        out: np.ndarray = x.reshape(-1, x.shape[-1]) @ self.matrix
+        rows = x.reshape(-1, x.shape[-1])
+        out: np.ndarray = rows @ self.matrix
         if self.bias is not None:
             out += self.bias
+        if self.change is not None:
+            out += rows @ self.change[0] @ self.change[1]
         return out.reshape(*x.shape[:-1], -1)
 
 

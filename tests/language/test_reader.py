@@ -1,0 +1,87 @@
+"""The reader of clauses: numpy against torch, and what is read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bunraku.core.nn.checkpoints import save_checkpoint
+from bunraku.errors import WeightsError
+from bunraku.language.encoders import MiniLMEncoder
+from bunraku.language.lexicon import lexicon
+from bunraku.language.parse import parse
+from bunraku.language.prompts import plain_words
+from bunraku.language.reader import KIND, Reader, dequantised, frames_of, load_reader
+
+ACTIONS = ("walk", "jump", "wave")
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ("Walk_BackL45", "Walk Back L 45"), ("HTTPRun", "HTTP Run"), ("Armature|Idle-Loop", "Armature Idle Loop"),
+        ("a person walks, then jumps", "a person walks, then jumps"), ("  ", ""),
+    ],
+)  # fmt: skip
+def test_names_of_clips_become_words(given: str, words: str) -> None:
+    assert plain_words(given) == words
+
+
+def test_numpy_says_what_torch_says() -> None:
+    torch = pytest.importorskip("torch")
+    from bunraku_lab.training.reader import ReaderNetwork, packed
+
+    torch.manual_seed(0)
+    encoder = MiniLMEncoder()
+    network = ReaderNetwork(len(ACTIONS), encoder, rank=3).eval()
+    for name, weight in network.named_parameters():
+        if name.endswith(".up") or name == "query.weight":
+            torch.nn.init.normal_(weight, std=0.05)
+    weights = dequantised(packed(network))
+    network.load_state_dict({
+        name: torch.tensor(value.T if value.ndim == 2 else value) for name, value in weights.items()
+    })  # fmt: skip
+    x = encoder.embedded(encoder.numbers("a person walks to a xylophone"))
+    logits, weight, fields = Reader(ACTIONS, weights, encoder=encoder).run(x)
+    with torch.no_grad():
+        meant, attention, tokens = network(torch.tensor(x)[None])
+        values = network.fields(torch.einsum("la,lc->ac", attention[0], tokens[0]))
+    for own, other in ((logits, meant[0]), (weight, attention[0]), (fields, values)):
+        np.testing.assert_allclose(own, other.numpy(), atol=1e-3)
+
+
+def test_a_checkpoint_of_other_actions_is_refused(tmp_path: Path) -> None:
+    pytest.importorskip("torch")
+    from bunraku_lab.training.reader import ReaderNetwork, packed
+
+    state = packed(ReaderNetwork(2, MiniLMEncoder(), rank=2))
+    config = {"actions": ACTIONS, "shares": [1.0, 0.0, 0.0, 0.0], "instead": {}}
+    path = save_checkpoint(tmp_path / "reader.safetensors", state, config, KIND)
+    with pytest.raises(WeightsError, match="reader.safetensors"):
+        load_reader(path)
+
+
+def test_every_action_is_shown_by_one_of_the_lexicon() -> None:
+    reader = load_reader()
+    for action in reader.actions:
+        assert action in lexicon().actions or reader.instead[action] in lexicon().actions, action
+
+
+@pytest.mark.parametrize(
+    ("prompt", "actions"),
+    [
+        ("a person waves with both hands", ("wave both",)), ("rifle idle to crouch", ("idle", "crouch idle")),
+        ("front flip to kick", ("flip", "kick")), ("is doing left arm circles", ("arm circle",)),
+    ],
+)  # fmt: skip
+def test_nothing_is_dropped_without_a_word(prompt: str, actions: tuple[str, ...]) -> None:
+    sentence = parse(prompt)
+    single = [part for clause in sentence.clauses for part in clause.parts or (clause,)]
+    assert tuple(frame.action for clause in single for frame in clause.frames) == actions
+
+
+def test_what_is_not_known_is_said() -> None:
+    (note,) = parse("a soldier reloads his rifle").notes
+    assert "reload rifle" in note and frames_of("a soldier reloads his rifle")[0].shown in note
