@@ -2,7 +2,7 @@
 import { readFileSync, readdirSync } from "node:fs";
 import { defineConfig } from "vite";
 
-const INSIDE = ["three", "preact", "@preact/signals", "@preact/signals-core", "mp4-muxer", "gifenc", "fflate"];
+const INSIDE = ["three", "preact", "@preact/signals", "@preact/signals-core", "fflate"];
 
 function licences() {
   return {

@@ -7,12 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from bunraku import save_character
 from bunraku.cli import main
 from bunraku.files import load_character
 from bunraku.files.clips import clip_names, load_animation
 from bunraku.files.registry import load_with_clips
-from bunraku.files.samples import sample_character
 
 ROOT = Path(__file__).resolve().parents[1]
 QUICK = ["--seconds", "1", "--steps", "4", "--candidates", "1"]
@@ -40,18 +38,9 @@ MADE = {  # what is there afterwards, and the clips that it holds
 
 @pytest.fixture(scope="module")
 def home(tmp_path_factory):
-    """The files that the page speaks of: a mesh without a skeleton, one with, an avatar, a motion, ten sentences."""
+    """The files that the page speaks of."""
     folder = tmp_path_factory.mktemp("tasks")
-    person = sample_character("person")
-    lines = ["v {:f} {:f} {:f}".format(*vertex) for vertex in person.vertices]
-    lines += ["f {} {} {}".format(*(face + 1)) for face in person.faces]
-    (folder / "knight.obj").write_text("\n".join(lines))
-    plain = str(save_character(person, folder / "plain.glb"))
-    assert main(["rig", plain, "--skeleton", "mixamo", "-o", str(folder / "hero.glb")]) == 0
-    assert main(["rig", plain, "--skeleton", "vrm", "-o", str(folder / "avatar.glb")]) == 0
-    (folder / "avatar.glb").rename(folder / "avatar.vrm")
-    assert main(["animate", str(folder / "hero.glb"), "walks", "-o", str(folder / "walk.bvh"), *QUICK]) == 0
-    (folder / "ten.txt").write_text("\n".join(["walks", "runs", "waves", "nods", "bows"] * 2))
+    assert main(["samples", "-o", str(folder)]) == 0
     return folder
 
 

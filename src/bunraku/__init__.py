@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from bunraku.generation import library as clips
     from bunraku.pipelines.animate import animate, edit, generate, rig, with_skeleton
     from bunraku.pipelines.animator import Animator
+    from bunraku.pipelines.live import Live, live
     from bunraku.pipelines.motions.read import load_motion
     from bunraku.pipelines.requests import Request
     from bunraku.pipelines.transfer import transfer
@@ -48,10 +49,10 @@ __version__ = "0.1.0"
 
 __all__ = [
     "AnimatedCharacter", "Animation", "Animator", "BunrakuError", "Character", "CharacterError", "FormatError",
-    "HandleMotion", "Handles", "MissingExtraError", "MotionError", "OptionError", "Orientation", "Request", "Rig",
-    "RigAnimation", "SkeletalMotion", "Skeleton", "Stages", "WeightsError", "__version__", "animate", "clips", "edit",
-    "generate", "guess_orientation", "load_character", "load_motion", "rig", "sample_character", "save_character",
-    "save_clips", "save_for", "transfer", "upright", "with_skeleton",
+    "HandleMotion", "Handles", "Live", "MissingExtraError", "MotionError", "OptionError", "Orientation", "Request",
+    "Rig", "RigAnimation", "SkeletalMotion", "Skeleton", "Stages", "WeightsError", "__version__", "animate",
+    "clips", "edit", "generate", "guess_orientation", "live", "load_character", "load_motion", "rig",
+    "sample_character", "save_character", "save_clips", "save_for", "transfer", "upright", "with_skeleton",
 ]  # fmt: skip
 
 _HOME = {
@@ -61,6 +62,7 @@ _HOME = {
     "Character": "bunraku.core.character",
     "HandleMotion": "bunraku.core.motion",
     "Handles": "bunraku.core.character",
+    "Live": "bunraku.pipelines.live",
     "Orientation": "bunraku.anatomy.handles.orientation",
     "Request": "bunraku.pipelines.requests",
     "Rig": "bunraku.core.character",
@@ -72,6 +74,7 @@ _HOME = {
     "edit": "bunraku.pipelines.animate",
     "generate": "bunraku.pipelines.animate",
     "guess_orientation": "bunraku.anatomy.handles.orientation",
+    "live": "bunraku.pipelines.live",
     "load_character": "bunraku.files",
     "load_motion": "bunraku.pipelines.motions.read",
     "rig": "bunraku.pipelines.animate",

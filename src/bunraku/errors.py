@@ -7,8 +7,8 @@ import os
 from pathlib import Path
 
 __all__ = [
-    "BunrakuError", "CharacterError", "FULL_DISK", "FormatError", "MissingExtraError", "MotionError", "OptionError",
-    "WeightsError", "is_fault", "sentence_of",
+    "BunrakuError", "CharacterError", "FULL_DISK", "FormatError", "MissingExtraError", "MotionError",
+    "NotUnderstood", "OptionError", "WeightsError", "is_fault", "sentence_of",
 ]  # fmt: skip
 
 
@@ -39,6 +39,10 @@ class MotionError(BunrakuError):
 
 class OptionError(BunrakuError):
     """An option or a prompt is outside what Bunraku can do."""
+
+
+class NotUnderstood(OptionError):
+    """No movement of a sentence is understood; `force` goes on nevertheless, which each door says in its own words."""
 
 
 class WeightsError(BunrakuError):

@@ -17,8 +17,18 @@ export function hashOf(address: string): URLSearchParams {
 }
 
 const given = hashOf(location.hash).get("token");
-if (given) {
+if (given && !localStorage.getItem(KEY)) {
   localStorage.setItem(KEY, given);
+}
+
+/** Take the token of the address in place of the one that is kept, if the studio does: a link alone locks nobody out. */
+export async function enter(): Promise<void> {
+  if (given && given !== token()) {
+    const answer = await fetch("api/changes", { headers: { authorization: `Bearer ${given}` } }).catch(() => null);
+    if (answer?.ok) {
+      setToken(given);
+    }
+  }
 }
 
 export function token(): string {

@@ -2,16 +2,12 @@
 
 import { signal } from "@preact/signals";
 import { useLayoutEffect, useRef, useState } from "preact/hooks";
-import { download, hand, saveProject } from "./actions";
+import { download, saveProject } from "./actions";
 import { beside } from "./modal";
-import { filming, holder, seconds, viewer } from "./stage";
-import { about, attempt, character, ownTakes, playing, say, take, time } from "./state";
+import { about, character, ownTakes, take } from "./state";
 import { titleOf } from "./takes";
 
 export const exporting = signal(false);
-export const film = signal<{ done: number; name: string } | null>(null);
-let stop = false;
-export const stopFilm = (): void => void (stop = true);
 
 const FORMATS: Record<string, string> = {
   glb: "GLB — Godot, three.js, Blender, the web",
@@ -21,48 +17,14 @@ const FORMATS: Record<string, string> = {
   vmd: "VMD — MikuMikuDance",
   usdz: "USDZ — USD, AR",
   npz: "NPZ — the handle motion",
+  mp4: "MP4 — a video, 1280 x 720",
+  gif: "GIF — a small video, 480 x 360",
 };
 const OWN: Record<string, string> = {
-  mp4: "MP4 — a video of the view",
-  gif: "GIF — a small video of the view",
   bunraku: ".bunraku — the character with all its takes, to be opened here again",
 };
 /** Formats that hold several clips. */
 const TOGETHER = ["glb"];
-
-async function shoot(kind: "mp4" | "gif"): Promise<void> {
-  const view = viewer;
-  const one = take.value;
-  const place = holder;
-  if (!view || !one || !place || film.value) {
-    return;
-  }
-  await attempt(async () => {
-    const video = await import("./video");
-    const before = { playing: playing.value, time: time.value };
-    playing.value = false;
-    filming.on = true;
-    stop = false;
-    film.value = { done: 0, name: kind };
-    try {
-      const shot = {
-        viewer: view,
-        seconds: seconds(),
-        told: (done: number) => void (film.value = { done, name: kind }),
-        stopped: () => stop,
-      };
-      const made = kind === "mp4" ? await video.mp4(shot, 1280, 720, 30) : await video.gif(shot, 480, 360, 15);
-      hand(made, `${character.value?.name ?? "take"}.${kind}`);
-      say(`${kind.toUpperCase()}: ${(made.size / 1e6).toFixed(1)} MB`);
-    } finally {
-      filming.on = false;
-      film.value = null;
-      view.restore(place);
-      playing.value = before.playing;
-      time.value = before.time;
-    }
-  });
-}
 
 export function Export() {
   return exporting.value ? <ExportDialog /> : null;
@@ -94,8 +56,6 @@ function ExportDialog() {
     close();
     if (format === "bunraku") {
       void saveProject();
-    } else if (format === "mp4" || format === "gif") {
-      void shoot(format);
     } else {
       const all = { format, fps, together: together && TOGETHER.includes(format) };
       void download(some, preset ? { ...all, preset: preset.name } : all);

@@ -3,7 +3,7 @@
 import { signal } from "@preact/signals";
 import { useRef } from "preact/hooks";
 import { openAll } from "./drop";
-import { exporting, film, stopFilm } from "./export";
+import { exporting } from "./export";
 import { Modal } from "./modal";
 import { about, canRedo, canUndo, online, redo, running, take, undo } from "./state";
 
@@ -45,14 +45,6 @@ export function Header() {
         ↷
       </button>
       <span class="fill" />
-      {film.value && (
-        <span role="status">
-          {film.value.name} <progress max={1} value={film.value.done} />{" "}
-          <button class="link" onClick={stopFilm}>
-            stop
-          </button>
-        </span>
-      )}
       {running.value.length > 0 && (
         <span class="muted" role="status">
           {running.value.length} {running.value.length > 1 ? "jobs" : "job"}

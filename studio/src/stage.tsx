@@ -16,9 +16,6 @@ import type { Character, Take } from "./types";
 import { Viewer, type Pane } from "./viewer";
 
 export let viewer: Viewer | null = null;
-export let holder: HTMLElement | null = null;
-/** Set while a video is drawn: nothing else draws then. */
-export const filming = { on: false };
 
 const models = new Map<string, Promise<Model>>();
 const clips = new Map<string, Promise<Clip>>();
@@ -163,7 +160,6 @@ export function Stage({ children }: { children?: preact.ComponentChildren }) {
     if (!here) {
       return undefined;
     }
-    holder = here;
     const view = new Viewer(here);
     viewer = view;
     view.dragged = (part, position) => {
@@ -229,7 +225,7 @@ export function Stage({ children }: { children?: preact.ComponentChildren }) {
       frame = requestAnimationFrame(tick);
       const passed = Math.min((now - before) / 1000, 0.25);
       before = now;
-      if (filming.on || document.hidden) {
+      if (document.hidden) {
         return;
       }
       const length = seconds();

@@ -2,7 +2,7 @@
 
 import { batch, computed, effect, signal } from "@preact/signals";
 import type { Colouring } from "./model";
-import { get, listen, send, ServerError } from "./api";
+import { enter, get, listen, send, ServerError } from "./api";
 import { EMPTY, readDoc } from "./schema";
 import { scriptOf } from "./script";
 import type { About, Character, Doc, Job, Project, Take } from "./types";
@@ -234,6 +234,7 @@ export function viewOf(projects: Project[], own: string | null): { view: unknown
 
 /** Fetch all that there is, go where the user was, and listen from there on. */
 export async function start(): Promise<void> {
+  await enter();
   const found = await get<About>("/about");
   known(found);
   const before = viewOf(found.projects, sessionStorage.getItem(PROJECT));

@@ -22,8 +22,15 @@ const PARTS: Record<string, string> = {
 /** How long the line is [s]: the sentences, or the take where that is longer. */
 const length = (): number =>
   Math.max(fromFile(take.value, doc.value) ? 0 : total.value, take.value?.seconds ?? 0, 0.5);
+const MOST_MARKS = 60;
 const percent = (seconds: number): string => `${(100 * seconds) / length()}%`;
 const snapped = (seconds: number): number => Math.round(seconds * 20) / 20;
+
+/** The seconds that the ruler names: all, or so many that they fit. */
+export function marks(seconds: number): number[] {
+  const apart = [1, 2, 5, 10, 30, 60, 300, 600, 3600].find((each) => seconds / each <= MOST_MARKS) ?? seconds / MOST_MARKS;
+  return Array.from({ length: Math.floor(seconds / apart) + 1 }, (_, number) => number * apart);
+}
 
 export function clock(seconds: number): string {
   const whole = Math.max(seconds, 0);
@@ -378,7 +385,7 @@ export function Timeline() {
               }
             }}
           >
-            {Array.from({ length: Math.floor(length()) + 1 }, (_, second) => (
+            {marks(length()).map((second) => (
               <span key={second} class={second > 0.97 * length() ? "last" : ""} style={{ left: percent(second) }}>
                 {second}
               </span>

@@ -568,26 +568,6 @@ export class Viewer {
     this.touch();
   }
 
-  /** A picture of a time at a size, without gizmos; the canvas shows it until the next frame. */
-  picture(time: number, width: number, height: number): HTMLCanvasElement {
-    const before = this.time;
-    const { directing, marks } = this;
-    this.directing = false;
-    this.marks = { ...marks, handles: [], path: [], skeleton: [], chains: [] };
-    this.time = time;
-    this.renderer.setPixelRatio(1);
-    this.renderer.setSize(width, height, false);
-    this.render(width, height);
-    Object.assign(this, { directing, marks });
-    this.time = before;
-    return this.canvas;
-  }
-
-  /** Give the canvas its size in the page back. */
-  restore(holder: HTMLElement): void {
-    this.renderer.setPixelRatio(Math.min(devicePixelRatio, MOST_PIXELS));
-    this.fit(holder);
-  }
 }
 
 function round(value: number): number {

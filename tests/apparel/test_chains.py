@@ -380,7 +380,7 @@ def test_kinds_and_names(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [("limit = 3", "outside"), ("[hair]\nlimits = 3", "not known"), ("[hair]\nlimit = 300", "from 0 to 90"),
-     ("[hair]\nlimit = nan", "from 0 to 90"), ("[hair", "no TOML")],
+     ("[hair]\nlimit = nan", "from 0 to 90"), ("[hair", "not TOML"), (f"[hair]\nlimit = {'9' * 5000}", "not TOML")],
 )  # fmt: skip
 def test_what_is_wrong_is_said(tmp_path: Path, text: str, said: str) -> None:
     character = load_character(save_pmx(wardrobe_character(810_003), tmp_path / "one.pmx"))

@@ -2,6 +2,7 @@
 
 import errno
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -28,9 +29,12 @@ def test_every_verb_helps_with_an_example(capsys, verb):
 def test_help_names_every_verb(capsys):
     assert main(["--help"]) == 0
     said = capsys.readouterr().out
-    assert all(" ".join(verb) in said for verb in all_verbs())
+    assert all(word in said for verb in all_verbs() for word in verb)
+    assert "for research" in said.partition("  doctor ")[2] and "train apparel" not in said
     assert main(["data", "--help"]) == 0
     assert "animate" not in capsys.readouterr().out
+    assert main(["help", "rig"]) == 0
+    assert "how the character stands, which" in " ".join(re.sub("[│\n]", " ", capsys.readouterr().out).split())
 
 
 def test_version(capsys):

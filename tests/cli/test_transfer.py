@@ -278,6 +278,8 @@ def test_characters_of_a_folder(tmp_path):
     for name in ("b.obj", "a.GLB", "a.ply", "notes.txt", "walk.bvh"):
         (tmp_path / name).write_text("x")
     (tmp_path / "folder.glb").mkdir()
+    tree = b'{"asset":{"generator":"bunraku"},"animations":[{}]}'
+    (tmp_path / "a-walks.glb").write_bytes(b"glTF" + bytes(8) + len(tree).to_bytes(4, "little") + b"JSON" + tree)
     found = {path.name: name for path, name in characters_of(tmp_path).items()}
     assert found == {"a.GLB": "a.GLB", "a.ply": "a.ply", "b.obj": "b"}
 
@@ -294,6 +296,15 @@ def test_what_a_folder_does_not_take(tmp_path, capsys, words, said):
     (tmp_path / "a.glb").write_bytes(b"glTF")
     assert main(["animate", str(tmp_path), *words]) == 2
     assert said in capsys.readouterr().err
+
+
+def test_clips_of_this_folder_have_its_name(tmp_path, monkeypatch, capsys):
+    (tmp_path / "heroes").mkdir()
+    monkeypatch.chdir(tmp_path / "heroes")
+    for name in ("a.glb", "b.glb"):
+        Path(name).write_bytes(b"glTF")
+    assert main(["animate", ".", "walks"]) == 1
+    assert Path("heroes-clips").is_dir() and not Path("-clips").exists()
 
 
 def test_clips_do_not_go_among_the_characters(good, capsys):

@@ -1,6 +1,9 @@
 """Animating with the shipped weights, bare and dressed."""
 
 import dataclasses
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -69,20 +72,6 @@ def test_files_numbers_of_numpy_and_points_are_taken(person, tmp_path):
     assert np.array_equal(rig(path).positions, known.handles.positions)
     moved = bunraku.transfer(path, generate(PROMPT, seed=np.int64(1), **short))
     assert moved.character.name == known.character.name
-
-
-@pytest.mark.parametrize(
-    ("how", "said"),
-    [
-        ({"seed": None}, "seed must be a whole number"),
-        ({"seed": 1.5}, "seed must be a whole number"),
-        ({"candidates": "many"}, "candidates must be a whole number"),
-        ({"path": [(0, 0, 0), (1, 2, 3)]}, "path is a GroundPath"),
-    ],
-)
-def test_arguments_of_a_wrong_type_get_a_sentence(person, how, said):
-    with pytest.raises(OptionError, match=said):
-        animate(person, PROMPT, **how)
 
 
 @pytest.mark.parametrize(("scale", "shift"), [(0.01, (0, 0, 0)), (128.0, (3.0, 4.0, -2.0))])
@@ -207,6 +196,27 @@ def test_lists_of_prompts_and_what_is_refused(walk):
         bunraku.generate(PROMPT, loop=True, after=walk.reference)
     with pytest.raises(bunraku.OptionError, match="no words"):
         bunraku.generate([PROMPT, "..."])
+
+
+def test_a_list_of_prompts_gives_a_list_of_animations(person):
+    how = {"seconds": 0.5, "steps": 1, "candidates": 1, "seed": 3}
+    walk, wave = animate(person, [PROMPT, "waves"], **how)
+    alone = animate(person, "waves", **how)
+    np.testing.assert_allclose(wave.motion.rotations, alone.motion.rotations, atol=1e-4)
+    assert repr(walk) == "<Animation of 'person': 6,601 vertices, 30 parts, 0.5 s>" and animate(person, []) == []
+    assert max(len(repr(one)) for one in (person, walk.handles, walk.motion, walk.reference)) < 80
+
+
+def test_the_number_of_threads_changes_no_byte(tmp_path):
+    """Library and command line use as many threads as there are processors, or one."""
+    code = (
+        "import sys, bunraku; bunraku.animate(bunraku.sample_character('mushroom'), 'walks', seconds=1, steps=2)"
+        ".save(sys.argv[1])"
+    )
+    for threads in ("1", "4"):
+        environment = {**os.environ, "OPENBLAS_NUM_THREADS": threads, "OMP_NUM_THREADS": threads}
+        subprocess.run([sys.executable, "-c", code, str(tmp_path / f"{threads}.glb")], check=True, env=environment)
+    assert (tmp_path / "1.glb").read_bytes() == (tmp_path / "4.glb").read_bytes()
 
 
 def test_what_does_not_fit_together_is_refused(walk):

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -41,7 +42,19 @@ except RuntimeError as error:
 
 settings.address = sys.argv[-2]
 before = [one.name for one in bpy.data.objects]
+hat = mesh.copy()
+hat.data = mesh.data.copy()
+bpy.context.collection.objects.link(hat)
+before.append(hat.name)
+mesh.select_set(True)
+hat.select_set(True)
 assert bpy.ops.bunraku.animate() == {"FINISHED"}
+assert bpy.context.view_layer.objects.active == mesh and hat.select_get()
+bpy.ops.object.select_all(action="DESELECT")
+bpy.context.view_layer.objects.active = mesh.parent
+mesh.parent.select_set(True)  # what was made is there to be made anew
+assert bpy.ops.bunraku.animate() == {"FINISHED"}
+assert hat.parent == mesh.parent and len(bpy.data.actions) == 1
 armature = next(one.object for one in mesh.modifiers if one.type == "ARMATURE")
 places = []
 for frame in (1, 20, 40):
@@ -65,6 +78,27 @@ def test_the_command_writes_it(tmp_path, capsys):
     assert main(["blender-addon", "-o", str(path)]) == 0  # the same file is no reason to stop
     path.write_text("mine")
     assert main(["blender-addon", "-o", str(path)]) == 2 and path.read_text() == "mine"
+
+
+def test_what_it_asks_of_the_studio_goes_on_beside_blender(studio, tmp_path, monkeypatch):
+    """The part of the add-on that talks, with a stand-in for the classes that Blender brings."""
+    names = ("Operator", "Panel", "PropertyGroup")
+    properties = SimpleNamespace(**dict.fromkeys(("StringProperty", "FloatProperty", "IntProperty"), dict))
+    stand_in = SimpleNamespace(types=SimpleNamespace(**dict.fromkeys(names, object)), props=properties)
+    monkeypatch.setitem(sys.modules, "bpy", stand_in)
+    assert main(["blender-addon", "-o", str(tmp_path / "addon.py")]) == 0
+    addon = loaded(tmp_path / "addon.py")
+    mesh = save_character(sample_character("mushroom"), tmp_path / "mushroom.glb").read_bytes()
+    before = {one["id"] for one in studio.get("/api/characters")["characters"]}
+    works = [addon.Work(studio.address, mesh, "mushroom", text, 0.5, 1, 24) for text in ("waves", "blorg zint")]
+    for work in works:
+        work.start()
+        assert work.is_alive()  # and Blender goes on
+    for work in works:
+        work.join(120)
+    assert works[0].result[:4] == b"glTF" and works[0].error == ""
+    assert "no movement is understood" in works[1].error and "force" not in works[1].error
+    assert {one["id"] for one in studio.get("/api/characters")["characters"]} == before
 
 
 def test_it_makes_an_action_in_blender(studio, tmp_path):
@@ -96,8 +130,8 @@ def test_it_makes_an_action_in_blender(studio, tmp_path):
     assert np.abs(np.ptp(positions[1], axis=0)[2] - np.ptp(rest, axis=0)[2]) < 0.5
 
 
-def loaded(folder):
-    spec = importlib.util.spec_from_file_location("custom_nodes_bunraku", folder / "__init__.py")
+def loaded(path):
+    spec = importlib.util.spec_from_file_location("addon", path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
@@ -108,7 +142,7 @@ def test_a_sentence_from_the_node_to_a_moving_character(studio, tmp_path, monkey
     assert main(["comfyui-nodes", "-o", str(folder)]) == 0
     assert main(["comfyui-nodes", "-o", str(folder)]) == 0  # the same pack is no reason to stop
     before = set(sys.modules)
-    pack = loaded(folder)
+    pack = loaded(folder / "__init__.py")
     assert not {"torch", "bpy", "bunraku"} & (set(sys.modules) - before)
     node = pack.NODE_CLASS_MAPPINGS["BunrakuAnimate"]
     asked = node.INPUT_TYPES()["required"]

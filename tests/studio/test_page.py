@@ -710,7 +710,7 @@ def test_downloads(brief, tmp_path, format):
             assert picture.n_frames > 5 and picture.size == (480, 360)
 
 
-def test_a_video_is_made_in_the_browser(brief, tmp_path):
+def test_a_video_is_made(brief, tmp_path):
     import av
 
     page = brief
@@ -720,7 +720,7 @@ def test_a_video_is_made_in_the_browser(brief, tmp_path):
     found.value.save_as(path)
     with av.open(str(path)) as video:
         frames = sum(1 for _ in video.decode(video=0))
-        assert frames == round(page.value("studio.view().panes[0].clip.seconds") * 30)
+        assert abs(frames - page.value("studio.take.value.seconds") * 30) <= 2
         assert (video.streams.video[0].width, video.streams.video[0].height) == (1280, 720)
 
 

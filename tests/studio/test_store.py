@@ -1,23 +1,36 @@
 """What the studio stores and tells, and whom it lets in."""
 
+import asyncio
+import contextlib
 import json
+import os
 
 import pytest
+import uvicorn
+from uvicorn.server import ServerState
 
-from bunraku.errors import FormatError
+from bunraku.errors import FormatError, OptionError
 from bunraku.studio.jobs import MOST, Changes
 from bunraku.studio.server.app import POLICY
+from bunraku.studio.server.lines import Line
+from bunraku.studio.server.serve import held_folder
 from bunraku.studio.store import NotThere, Store
 
+CHARACTER = {
+    "name": "one", "file": "source/one.glb", "state": "ready",
+    "settings": {"up": "auto", "front": "auto", "unit": "auto", "handles": "predict"},
+}  # fmt: skip
 
-def take(text="walks"):
-    """The record of a take that waits."""
-    return {"character": "0" * 16, "state": "waiting", "script": [{"text": text, "seconds": 2}]}
+
+def take(store, text="walks"):
+    """The record of a take that waits, of a new character."""
+    owner = store.new("characters", CHARACTER)["id"]
+    return {"character": owner, "state": "waiting", "script": [{"text": text, "seconds": 2}]}
 
 
 def test_what_is_kept_is_found_again(tmp_path):
     one = Store(tmp_path / "deep" / "folder")
-    made = one.new("takes", take("läuft"))
+    made = one.new("takes", take(one, "läuft"))
     one.change("takes", made["id"], star=True)
     again = Store(tmp_path / "deep" / "folder")
     assert again.get("takes", made["id"])["script"][0]["text"] == "läuft" and again.get("takes", made["id"])["star"]
@@ -26,7 +39,7 @@ def test_what_is_kept_is_found_again(tmp_path):
 
 def test_what_was_given_up_is_gone_after_a_restart(tmp_path):
     one = Store(tmp_path)
-    made = one.new("takes", {})
+    made = one.new("takes", take(one))
     one.change("takes", made["id"], deleted=True)
     assert one.all("takes") == []
     one.change("takes", made["id"], deleted=False)
@@ -43,7 +56,7 @@ def test_names_that_it_did_not_give_are_nothing(tmp_path, name):
 
 def test_broken_records_are_left_out(tmp_path):
     one = Store(tmp_path)
-    good, broken = one.new("takes", take()), one.new("takes", take())
+    good, broken = one.new("takes", take(one)), one.new("takes", take(one))
     (tmp_path / "takes" / broken["id"] / "record.json").write_text('{"half')
     (tmp_path / "takes" / "0123456789abcdef").mkdir()
     (tmp_path / "takes" / "notes.txt").write_text("mine")
@@ -58,6 +71,64 @@ def test_a_record_that_cannot_be_written_changes_nothing(tmp_path):
         one.change("takes", made["id"], star=True, junk="x" * (5 << 20))
     assert one.get("takes", made["id"])["star"] is False
     assert json.loads((tmp_path / "takes" / made["id"] / "record.json").read_text())["star"] is False
+
+
+def test_takes_go_with_their_character(tmp_path):
+    one = Store(tmp_path)
+    made = one.new("takes", take(one))
+    one.change("characters", made["character"], deleted=True)
+    assert one.all("takes") == []
+    one.change("characters", made["character"], deleted=False)
+    assert len(one.all("takes")) == 1
+    one.change("characters", made["character"], deleted=True)
+    assert Store(tmp_path).all("takes") == [] and not (tmp_path / "takes" / made["id"]).exists()
+    broken = one.new("takes", take(one))  # a character that cannot be read keeps its takes
+    (tmp_path / "characters" / broken["character"] / "record.json").write_text('{"half')
+    Store(tmp_path)
+    Store(tmp_path)
+    assert (tmp_path / "takes" / broken["id"] / "record.json").exists()
+
+
+def test_memory_holds_nothing_that_a_record_cannot(tmp_path):
+    one = Store(tmp_path)
+    made = one.new("takes", take(one, "walk\ud800"))
+    assert one.change("takes", made["id"], title="\udc80")["title"] == "\ufffd"
+    with pytest.raises(ValueError):
+        one.note("takes", made["id"], height=float("nan"))
+    assert "height" not in one.get("takes", made["id"]) and json.dumps(one.all("takes")).encode()
+
+
+def test_one_studio_has_a_folder(tmp_path):
+    pytest.importorskip("fcntl", reason="Windows has no such locks")
+    with held_folder(tmp_path / "folder", "http://localhost:1/"):
+        said = f"process {os.getpid()} at http://localhost:1/"
+        with pytest.raises(OptionError, match=said), held_folder(tmp_path / "folder", "http://localhost:2/"):
+            pass
+    with held_folder(tmp_path / "folder", "http://localhost:3/"):
+        pass
+
+
+@pytest.mark.parametrize(
+    "sent", [b"", b"GET / HTTP/1.1\r\nhost: x\r\n", b"POST / HTTP/1.1\r\ncontent-length: 9\r\n\r\n1"]
+)
+def test_a_line_that_is_left_half_open_is_closed(sent):
+    async def app(scope, receive, send):
+        while (await receive()).get("more_body"):
+            pass
+
+    async def ask():
+        config = uvicorn.Config(app, http=Line, timeout_keep_alive=1, lifespan="off", log_level="critical")
+        config.load()
+        loop = asyncio.get_running_loop()
+        server = await loop.create_server(lambda: Line(config, ServerState(), {}), "127.0.0.1", 0)
+        reader, writer = await asyncio.open_connection(*server.sockets[0].getsockname())
+        writer.write(sent)
+        with contextlib.suppress(ConnectionResetError):
+            await asyncio.wait_for(reader.read(), 10)
+        writer.close()
+        server.close()
+
+    asyncio.run(ask())
 
 
 def test_the_latest_of_each_thing_is_told_once_in_order():
@@ -148,8 +219,13 @@ def test_a_password_gives_the_token_and_a_wrong_one_does_not(client):
     headers = {"authorization": ""}
     wrong = client.post("/api/login", json={"password": "guess"}, headers=headers)
     assert wrong.status_code == 401
+    early = client.post("/api/login", json={"password": "long enough"}, headers=headers)
+    assert early.status_code == 429 and "wait 1 seconds" in early.json()["error"]
+    client.app.state.tries.clear()
     right = client.post("/api/login", json={"password": "long enough"}, headers=headers)
     assert right.json() == {"token": "secret"}
+    long = client.post("/api/login", content=b" " * 5000, headers=headers)
+    assert long.status_code == 400 and "4 KiB" in long.json()["error"]
 
 
 def test_without_a_password_nobody_logs_in(client):

@@ -10,6 +10,7 @@ import signal
 import socket
 import struct
 import time
+import urllib.request
 import zipfile
 from pathlib import Path
 
@@ -560,3 +561,23 @@ def test_a_folder_that_can_only_be_read_is_shown(studio, character, own_studio, 
     finally:
         for folder, _, _ in os.walk(kept):
             os.chmod(folder, 0o755)
+
+
+def test_windows_of_a_character_that_never_stops(studio):
+    character = studio.sample("mushroom")["id"]
+
+    def ask(**body):
+        asked = urllib.request.Request(
+            f"{studio.base}/api/characters/{character}/live", json.dumps(body).encode(), method="POST"
+        )
+        asked.add_header("authorization", f"Bearer {studio.token}")
+        with urllib.request.urlopen(asked, timeout=120) as answer:
+            frames = len(unpacked_clip(answer.read())[1])
+            return answer.headers["x-bunraku-session"], int(answer.headers["x-bunraku-first"]), frames
+
+    session, first, frames = ask(sentence="waves")
+    assert (first, frames) == (0, 20)
+    assert ask(session=session, direction=[1, 0], seconds=0.5) == (session, 20, 10)
+    assert ask(session=session, sentence="jumps", start=25) == (session, 25, 20)
+    status, said = studio.ask("POST", f"/api/characters/{character}/live", {"session": "another"})
+    assert status == 400 and said["error"] == "this session has ended; begin another one"

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from bunraku.cli.manifest import exclusive_output, fingerprint
+from bunraku.cli.manifest import exclusive_output, fingerprint, is_result
 from bunraku.cli.options import (
     ApparelOptions,
     DirectingOptions,
@@ -76,21 +76,22 @@ def read_lines(path: Path, seconds: float, force: bool, named: bool = False) -> 
             try:
                 prompts.append(check_sequence(line.strip(), seconds, force, named))
             except OptionError as error:
-                raise OptionError(f"{path}, line {number}: {error}") from None
+                raise type(error)(f"{path}, line {number}: {error}") from None
     if not 1 <= len(prompts) <= LIMIT:
         raise OptionError(f"{path} holds {len(prompts):,} prompts; give 1 to {LIMIT:,}, one a line")
     return prompts
 
 
 def characters_of(folder: Path) -> dict[Path, str]:
-    """The characters of a folder, by their suffixes, each with the name of its own folder of results; FormatError where
-    there is none, or the folder cannot be read.
+    """The characters of a folder, by their suffixes, each with the name of its own folder of results; what Bunraku
+    animated is none. FormatError where there is no character, or the folder cannot be read.
     """
     from bunraku.files import READERS
 
     readers = READERS["character"]
     try:
         paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in readers and path.is_file())
+        paths = [path for path in paths if not is_result(path)]
     except OSError as error:
         raise FormatError(folder, f"this folder cannot be read ({error.strerror}); name another") from None
     if not paths:
@@ -321,7 +322,7 @@ class Animate(GeneratingOptions):
         else:
             check_input(self.character)
             characters = {self.character: ""}
-        folder = self.output[0] if self.output else Path(f"{self.character.stem}-clips")
+        folder = self.output[0] if self.output else Path(f"{self.character.resolve().stem or 'all'}-clips")
         if folder.is_dir() and self.character.is_dir() and folder.samefile(self.character):
             raise OptionError(f"the clips would lie among the characters of {folder}; name another folder with -o")
         with exclusive_output(folders=[folder]):

@@ -8,13 +8,14 @@ import inspect
 import io
 import os
 import sys
+import textwrap
 import traceback
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from typing import Any, get_type_hints
 
-from bunraku.errors import OptionError, is_fault, sentence_of
+from bunraku.errors import NotUnderstood, OptionError, is_fault, sentence_of
 
 __all__ = ["VERBS", "Verbs", "all_verbs", "main"]
 
@@ -84,7 +85,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Exception as error:
         if debug:
             traceback.print_exc()
-        print(f"bunraku: error: {' '.join(sentence_of(error).split())}", file=sys.stderr)
+        more = ", or go on with --force" if isinstance(error, NotUnderstood) else ""
+        print(f"bunraku: error: {' '.join(sentence_of(error).split())}{more}", file=sys.stderr)
         return 1 if is_fault(error) else 2
 
 
@@ -98,6 +100,8 @@ def _repair_streams() -> None:
 
 
 def _dispatch(words: list[str]) -> int:
+    if words[:1] == ["help"] and len(words) > 1:
+        return _dispatch([*words[1:], "--help"])
     if not words or words[0] in ("-h", "--help", "help"):
         _print_help(all_verbs())
         return 0 if words else 2
@@ -125,15 +129,22 @@ def _dispatch(words: list[str]) -> int:
     return action(_parse(kind, verb, _joined(words[len(verb) :]), target.__doc__ or summary)) or 0
 
 
+def _reflowed(text: str) -> str:
+    """A docstring whose paragraphs are one line each."""
+    return "\n\n".join(" ".join(part.split()) for part in text.strip().split("\n\n"))
+
+
 def _parse(kind: type, verb: tuple[str, ...], words: list[str], text: str) -> Any:
     import tyro
+    from tyro import _strings
 
+    _strings.remove_single_line_breaks = _reflowed  # its own keeps the breaks of docstrings that are indented
     config = (tyro.conf.FlagCreatePairsOff, tyro.conf.PositionalMetavarFromFieldName)
     _check_once(kind, words)
     return tyro.cli(
         kind,
         prog=" ".join(("bunraku", *verb)),
-        description="\n".join(line.strip() for line in text.strip().splitlines()),
+        description=_reflowed(text),
         args=words,
         config=config,
     )
@@ -194,10 +205,20 @@ def _print_help(verbs: Verbs, group: str = "") -> None:
     print(f"usage: {prefix} COMMAND [options]\n")
     if not group:
         print("A sentence animates any character mesh.\n")
-    width = max(len(" ".join(verb)) for verb in verbs)
-    for verb, (_, _, summary) in verbs.items():
+    shown = verbs if group else VERBS
+    width = max(len(" ".join(verb)) for verb in shown)
+    for verb, (_, _, summary) in shown.items():
         print(f"  {' '.join(verb):<{width}}  {summary}")
     if not group:
+        research: dict[str, list[str]] = {}
+        for verb in verbs.keys() - VERBS.keys():
+            research.setdefault(verb[0], []).extend(verb[1:])
+        if research:
+            print("\nfor research, each with a list of its own (`bunraku help train`):")
+        for word, names in sorted(research.items()):
+            start = f"  {word:<{width}}  "
+            listed = ", ".join(sorted(names))
+            print(textwrap.fill(listed, 100, initial_indent=start, subsequent_indent=" " * len(start)))
         print("\n  --version  print the version\n  --debug    show the traceback of an error (or set BUNRAKU_DEBUG=1)")
         print(
             '\nexample: bunraku animate dragon.glb "walks forward, then waves" --seconds 6 -o dragon-wave.glb '

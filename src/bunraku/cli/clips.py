@@ -24,8 +24,10 @@ from bunraku.cli.outputs import (
     written_path,
     wrote,
 )
+from bunraku.core.files import atomic_write, read_bounded
 from bunraku.core.request import FPS, SECONDS, Progress
 from bunraku.errors import OptionError
+from bunraku.files import sample_files
 
 if TYPE_CHECKING:
     from bunraku.core.animation import AnimatedCharacter
@@ -125,7 +127,8 @@ def facts_of(clip: Clip) -> dict[str, object]:
 
 @dataclass(frozen=True)
 class Samples:
-    """Write the sample characters as GLB files.
+    """Write the sample characters as GLB files, and what else the docs use: a mesh without a skeleton, a rigged one, a
+    VRM, a motion and ten sentences.
 
     Example: bunraku samples person mushroom -o characters
     """
@@ -133,34 +136,31 @@ class Samples:
     names: tyro.conf.Positional[tuple[str, ...]] = ()
     """Which ones; all of them by default."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path(".")
-    """Folder to write to, made when it is missing; or the file of one sample, with the suffix .glb."""
+    """Folder to write to, made when it is missing; or the file of one sample, with the same suffix."""
     overwrite: bool = False
     """Replace other files that have a sample's name."""
     list: bool = False
     """Only print the names."""
 
     def run(self) -> None:
-        from bunraku.core.files import atomic_write, read_bounded
-        from bunraku.files import sample_file, sample_names
-
-        samples = tuple(sample_names())
+        files = sample_files()
         for name in self.names:
-            if name not in samples:
-                raise OptionError(f"there is no sample '{name}'; there are {', '.join(samples)}")
+            if name not in files:
+                raise OptionError(f"there is no sample '{name}'; there are {', '.join(files)}")
         if self.list:
-            print("\n".join(samples))
+            print("\n".join(files))
             return
-        names = self.names or samples
+        names = self.names or tuple(files)
         one_file = bool(self.output.suffix) and not self.output.is_dir()
         if one_file:
             if len(names) > 1:
                 raise OptionError(f"{len(names)} samples do not go into one file; name a folder, not {self.output}")
-            check_output(self.output, (".glb",))
+            check_output(self.output, (files[names[0]].suffix,))
         else:
             check_folder(self.output)
-        paths = {name: self.output if one_file else self.output / f"{name}.glb" for name in names}
+        paths = {name: self.output if one_file else self.output / files[name].name for name in names}
         with exclusive_output(paths.values()):
-            data = {name: read_bounded(sample_file(name)) for name in names}
+            data = {name: read_bounded(files[name]) for name in names}
             todo = [name for name in names if not (paths[name].is_file() and paths[name].read_bytes() == data[name])]
             check_free([paths[name] for name in todo], self.overwrite, ours=False)
             if len(todo) < len(names):

@@ -5,7 +5,9 @@ from __future__ import annotations
 import importlib.util
 import os
 import platform
+import shutil
 import sys
+import textwrap
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from importlib import metadata
@@ -94,18 +96,11 @@ def _guarded(look: Callable[[], Iterator[Finding]]) -> Iterator[Finding]:
 
 
 def _print(findings: list[Finding]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=None, pad_edge=False)
-    for title in ("", "what", "found", "what it costs"):
-        table.add_column(title, overflow="fold")
-    marks = {"ok": ("ok", "green"), "optional": ("--", "yellow"), "missing": ("NO", "bold red")}
+    width = shutil.get_terminal_size((100, 24)).columns
     for finding in findings:
-        mark, style = marks[finding.state]
-        table.add_row(Text(mark, style), Text(finding.topic), Text(finding.detail), Text(finding.cost))
-    Console().print(table)
+        mark = {"ok": "ok", "optional": "--", "missing": "NO"}[finding.state]
+        said = f"{mark} {finding.topic}: {finding.detail}{finding.cost and f' - {finding.cost}'}"
+        print(textwrap.fill(said, width, subsequent_indent="     ", break_long_words=False, break_on_hyphens=False))
 
 
 def _system() -> Iterator[Finding]:

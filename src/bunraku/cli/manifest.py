@@ -18,9 +18,14 @@ from bunraku.core.files import remove_leftovers
 from bunraku.core.request import from_json, to_json
 from bunraku.errors import BunrakuError, FormatError
 
-__all__ = ["check_free", "exclusive_output", "fingerprint", "note_begun", "note_done", "note_written", "unfinished"]
+__all__ = [
+    "check_free", "exclusive_output", "fingerprint", "is_result", "note_begun", "note_done", "note_written",
+    "unfinished",
+]  # fmt: skip
 
 
+SINGLE = "single"
+"""The mark of results that no batch made."""
 MANIFEST = ".bunraku-ledger.jsonl"
 _MOST_JSON = 64 << 20  # of a GLB whose maker is looked up [bytes]
 
@@ -104,8 +109,18 @@ def check_free(paths: Iterable[Path], overwrite: bool, ours: bool = True) -> Non
 def note_written(paths: Iterable[Path]) -> None:
     """Note single results, except those that name Bunraku as their generator."""
     for path in paths:
-        if not _says_bunraku(path):
-            note_done(path, "single")
+        if _own_tree(path) is None:
+            note_done(path, SINGLE)
+
+
+def is_result(path: Path) -> bool:
+    """Whether a file is an animation that Bunraku wrote."""
+    tree = _own_tree(path)
+    return (
+        bool(tree.get("animations"))
+        if tree is not None
+        else _entries(path.parent).get(path.name) == (SINGLE, _state(path))
+    )
 
 
 def _refuse(taken: list[Path]) -> None:
@@ -118,7 +133,7 @@ def _refuse(taken: list[Path]) -> None:
 
 
 def _ours(path: Path) -> bool:
-    return _says_bunraku(path) or _entries(path.parent).get(path.name, ("", None))[1] == _state(path)
+    return _own_tree(path) is not None or _entries(path.parent).get(path.name, ("", None))[1] == _state(path)
 
 
 def _state(path: Path) -> list[int] | None:
@@ -132,18 +147,18 @@ def _state(path: Path) -> list[int] | None:
     return [len(files), sum(stat.st_size for stat in stats), max((stat.st_mtime_ns for stat in stats), default=0)]
 
 
-def _says_bunraku(path: Path) -> bool:
-    """Whether a GLB or VRMA names Bunraku as its generator."""
+def _own_tree(path: Path) -> dict[str, Any] | None:
+    """The JSON of a GLB or VRMA that names Bunraku as its generator; None of other files."""
     try:
         with path.open("rb") as file:
             start = file.read(20)
             length = int.from_bytes(start[12:16], "little")
             if start[:4] != b"glTF" or start[16:20] != b"JSON" or length > _MOST_JSON:
-                return False
-            tree = json.loads(file.read(length))
-        return bool(tree["asset"]["generator"] == "bunraku")
+                return None
+            tree: dict[str, Any] = json.loads(file.read(length))
+        return tree if tree["asset"]["generator"] == "bunraku" else None
     except (OSError, ValueError, RecursionError, LookupError, TypeError):
-        return False
+        return None
 
 
 def _entries(folder: Path) -> dict[str, tuple[str, list[int] | None]]:

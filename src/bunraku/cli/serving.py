@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import asyncio
 import functools
+import inspect
 import os
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, make_dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, get_type_hints
 
 import tyro
 
 from bunraku.core.files import path_inside
-from bunraku.errors import BunrakuError, FormatError, MissingExtraError, OptionError
+from bunraku.core.request import from_json
+from bunraku.errors import BunrakuError, FormatError, MissingExtraError, NotUnderstood, OptionError, sentence_of
 from bunraku.pipelines.requests import Apparel, Constraints, Request, Sampling, TransferRequest
 
 if TYPE_CHECKING:
@@ -276,6 +278,18 @@ def _png(draw: Callable[[Path], object]) -> bytes:
         return path.read_bytes()
 
 
+def _form(work: Callable[..., Answer]) -> type:
+    """A dataclass with the arguments of a tool."""
+    hints = get_type_hints(work)
+    given = inspect.signature(work).parameters.values()
+    needed = [(one.name, hints[one.name]) for one in given if one.default is one.empty]
+    others = [(one.name, hints[one.name], field(default=None)) for one in given if one.default is not one.empty]
+    return make_dataclass(work.__name__, [*needed, *others])
+
+
+TOOLS = ("files", "animate", "transfer", "rig", "inspect", "render", "clips")
+"""Methods of `Tools` that are called from outside."""
+DEBUG = "start the server with BUNRAKU_DEBUG=1"
 INSTRUCTIONS = (
     "Bunraku animates any 3D character: a mesh and a sentence give an animation. Files are named as in the served "
     "folder; `files` lists them. Sentences are about one body's movement, such as: walks forward, then waves with the "
@@ -293,7 +307,23 @@ def mcp_server(folder: Path) -> Any:
         raise MissingExtraError("mcp", "serve", "`bunraku serve`") from error
     from bunraku import __version__
 
-    server, tools = MCPServer("bunraku", instructions=INSTRUCTIONS, version=__version__), Tools(folder)
+    tools = Tools(folder)
+    works = {work.__name__: work for work in (getattr(tools, name) for name in TOOLS)}
+    forms = {name: _form(work) for name, work in works.items()}
+
+    class Server(MCPServer):
+        """Reads the arguments of tools as strictly as all other requests are read."""
+
+        async def call_tool(self, name: str, arguments: dict[str, Any], context: Any = None) -> Any:
+            if name not in forms:
+                raise ToolError(f"there is no tool '{name[:40]}'; there are {', '.join(forms)}")
+            try:
+                from_json(forms[name], arguments, f"the tool {name}")
+            except BunrakuError as error:
+                raise ToolError(str(error)) from None
+            return await super().call_tool(name, arguments, context)
+
+    server = Server("bunraku", instructions=INSTRUCTIONS, version=__version__)
     in_order = asyncio.Lock()  # networks and renderer are made for one call at a time
 
     def as_tool(work: Callable[..., Answer]) -> Callable[..., Any]:
@@ -304,13 +334,14 @@ def mcp_server(folder: Path) -> Any:
             try:
                 async with in_order:
                     answer = await asyncio.to_thread(work, **arguments)
-            except BunrakuError as error:
-                raise ToolError(str(error)) from None
+            except Exception as error:
+                more = ", or set `force`" if isinstance(error, NotUnderstood) else ""
+                raise ToolError(f"{sentence_of(error, debug=DEBUG)}{more}") from error
             return [answer.facts, *([Image(data=answer.picture, format="png")] if answer.picture else [])]
 
         return tool
 
-    for work in (tools.files, tools.animate, tools.transfer, tools.rig, tools.inspect, tools.render, tools.clips):
+    for work in works.values():
         server.tool(structured_output=False)(as_tool(work))
     return server
 

@@ -24,7 +24,7 @@ from bunraku.errors import CharacterError, MotionError
 __all__ = ["AnimatedCharacter", "Animation", "PointAnimation", "RigAnimation", "bone_order", "end_to_start"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Animation(Shown):
     """A character driven by a handle motion.
 
@@ -89,7 +89,7 @@ class Animation(Shown):
         return Animation(self.character, self.handles, self.motion.take(frames), reference)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class RigAnimation(Shown):
     """A character driven by the J bones of its own rig.
 
@@ -251,7 +251,7 @@ def bone_order(parents: np.ndarray) -> list[int]:
     return out + [bone for bone in range(len(parents)) if bone not in reached]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PointAnimation(Shown):
     """A skinned animation, and the distance of each vertex from where the skin takes it.
 

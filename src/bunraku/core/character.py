@@ -58,6 +58,9 @@ class Rig:
     indices: np.ndarray
     weights: np.ndarray
 
+    def __repr__(self) -> str:
+        return f"<Rig: {len(self.names)} bones>"
+
     def __post_init__(self) -> None:
         count = len(self.names)
         object.__setattr__(self, "names", tuple(self.names))
@@ -110,9 +113,13 @@ class Character:
     faces: np.ndarray
     rig: Rig | None = None
     colors: np.ndarray | None = None
-    source: Any = field(default=None, repr=False, compare=False)
-    avatar: MmdModel | VrmModel | None = field(default=None, repr=False, compare=False)
-    beside: np.ndarray | None = field(default=None, repr=False, compare=False)
+    source: Any = field(default=None, compare=False)
+    avatar: MmdModel | VrmModel | None = field(default=None, compare=False)
+    beside: np.ndarray | None = field(default=None, compare=False)
+
+    def __repr__(self) -> str:
+        bones = "" if self.rig is None else f", {len(self.rig.names)} bones"
+        return f"<Character {self.name!r}: {len(self.vertices):,} vertices{bones}>"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "vertices", frozen_array(self.vertices, np.float32, (None, 3), "vertices"))
@@ -196,6 +203,9 @@ class Handles:
     features: np.ndarray | None = None
     roles: np.ndarray | None = None
     rigid: bool = False
+
+    def __repr__(self) -> str:
+        return f"<Handles: {len(self.positions)} of {len(self.weights):,} vertices>"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "positions", frozen_array(self.positions, np.float32, (None, 3), "handle positions"))

@@ -57,6 +57,9 @@ class Skeleton:
         ):
             raise MotionError("a skeleton needs one root, first, and every parent before its children")
 
+    def __repr__(self) -> str:
+        return f"<Skeleton: {len(self.names)} joints>"
+
     @property
     def positions(self) -> np.ndarray:
         """Joint positions in the rest pose [m], shape (J, 3)."""
@@ -83,7 +86,7 @@ def local_rotations(world: np.ndarray, parents: np.ndarray) -> np.ndarray:
     return out
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class SkeletalMotion(Saved):
     """Local joint rotations and a root translation per frame.
 
@@ -122,7 +125,7 @@ class SkeletalMotion(Saved):
         return rotations, positions
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class HandleMotion(Saved):
     """Motion of K mesh handles: x0 = {tau_l, r_l, tau_g, r_g} of TapMo, section 3.1.
 

@@ -8,13 +8,27 @@ import re
 import types
 from collections.abc import Callable, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass
-from typing import Any, ClassVar, Literal, NoReturn, Self, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+from numbers import Real
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    Literal,
+    NoReturn,
+    Self,
+    TypeVar,
+    Union,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 from bunraku.errors import OptionError
 
 __all__ = [
     "CANDIDATES", "Constraint", "FPS", "GRAVITY", "GUIDANCE", "Limit", "Progress", "SECONDS", "SEED", "STEPS",
-    "STIFFNESS", "TAKES", "WHOLE", "from_json", "no_constant", "option", "read_json", "to_json",
+    "STIFFNESS", "TAKES", "WHOLE", "from_json", "option", "parse_json", "read_json", "storable", "to_json",
 ]  # fmt: skip
 
 Progress = Callable[[str, float], None]
@@ -30,9 +44,11 @@ class Limit:
     high: float
 
     def check(self, value: float | None, name: str = "") -> None:
-        """Raise OptionError, under another name if one is given, unless a number is finite and in the range; None,
-        which stands for a default, passes.
+        """Raise OptionError, under another name if one is given, unless this is a finite number in the range; None
+        stands for a default and passes.
         """
+        if value is not None and not isinstance(value, Real):
+            raise OptionError(f"{name or self.name} must be a number, not {_shown(value)}")
         if value is not None and not (math.isfinite(value) and self.low <= value <= self.high):
             raise OptionError(f"{name or self.name} must be from {self.low:g} to {self.high:g}, not {value:g}")
 
@@ -96,12 +112,29 @@ def read_json(data: bytes, name: str, most: int = MOST_BYTES) -> Any:
     if brackets:
         raise OptionError(f"{name} is not JSON, or is nested more than {DEEPEST} deep; write it again")
     try:
-        return json.loads(data.decode("utf-8-sig"), parse_constant=no_constant)
+        return parse_json(data)
     except (ValueError, RecursionError):
         raise OptionError(f"{name} is not JSON; write it again") from None
 
 
-def no_constant(name: str) -> NoReturn:
+def parse_json(data: bytes) -> Any:
+    """The value of a JSON text in UTF-8, its texts `storable`; ValueError or RecursionError where it is none."""
+    found = json.loads(data.decode("utf-8-sig"), parse_constant=_no_constant)
+    return storable(found) if b"\\ud" in data or b"\\uD" in data else found
+
+
+def storable(value: Any) -> Any:
+    """The same with U+FFFD in place of lone surrogates, which JSON and file names may hold, and which no file and no
+    page takes; texts within lists and objects too.
+    """
+    if isinstance(value, str):
+        return value if value.isascii() else value.encode("utf-16", "surrogatepass").decode("utf-16", "replace")
+    if isinstance(value, dict):
+        return {storable(name): storable(each) for name, each in value.items()}
+    return type(value)(map(storable, value)) if isinstance(value, list | tuple) else value
+
+
+def _no_constant(name: str) -> NoReturn:
     """Refuse NaN and Infinity, which Python's parser of JSON accepts."""
     raise ValueError(f"{name} is not JSON")
 
@@ -129,7 +162,8 @@ def from_json(kind: type[Kind], data: object, name: str = "") -> Kind:
     """The dataclass of a JSON object.
 
     Args:
-        kind: The dataclass. Its fields are numbers, texts, arrays, tuples of these, other dataclasses, or unions.
+        kind: The dataclass. Its fields are numbers, `Annotated` with a `Limit` perhaps, texts, arrays, tuples of these,
+            other dataclasses, or unions.
         data: What `json.loads` gave.
         name: Its name in messages.
 
@@ -140,7 +174,7 @@ def from_json(kind: type[Kind], data: object, name: str = "") -> Kind:
     name = name or kind.__name__.lower()
     if not isinstance(data, dict):
         raise OptionError(f"{name} must be an object, not {_shown(data)}")
-    hints = get_type_hints(kind)
+    hints = get_type_hints(kind, include_extras=True)
     by_name = {field.name: field for field in fields(cast(Any, kind)) if field.init}
     for key in data:
         if key not in by_name:
@@ -153,9 +187,14 @@ def from_json(kind: type[Kind], data: object, name: str = "") -> Kind:
 
 def _value(hint: Any, value: Any, name: str) -> Any:
     """A JSON value as a field's type wants it."""
-    if hint is object:  # read by a class of its own
+    if hint in (object, Any):  # read by a class of its own
         return value
     origin, inner = get_origin(hint), get_args(hint)
+    if origin is Annotated:
+        found = _value(inner[0], value, name)
+        for limit in inner[1:]:
+            limit.check(found, name)
+        return found
     if origin in (Union, types.UnionType):
         if value is None and type(None) in inner:
             return None
@@ -164,8 +203,13 @@ def _value(hint: Any, value: Any, name: str) -> Any:
         if value not in inner or isinstance(value, bool):
             raise OptionError(f"{name} is one of {', '.join(map(str, inner))}, not {_shown(value)}")
         return value
-    if origin is tuple:
-        return _tuple(inner, value, name)
+    if origin in (tuple, list):
+        found = _tuple((inner[0], ...) if origin is list else inner, value, name)
+        return list(found) if origin is list else found
+    if origin is dict:
+        if not isinstance(value, dict):
+            raise OptionError(f"{name} must be an object, not {_shown(value)}")
+        return {key: _value(inner[1], each, name) for key, each in value.items()}
     if getattr(hint, "__name__", "") == "ndarray":
         return _array(value, name)
     if is_dataclass(hint):

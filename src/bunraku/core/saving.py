@@ -45,6 +45,10 @@ class Saved:
         written: Path = provided("save")(self, path, **options)
         return written
 
+    def __repr__(self) -> str:
+        motion: Any = self
+        return f"<{type(self).__name__}: {len(motion)} frames, {len(motion) / motion.fps:.4g} s>"
+
 
 LARGEST_VIEW = 8 << 20
 """Bytes of a model that a notebook gets as a view; of larger ones it gets a picture."""
@@ -52,6 +56,14 @@ LARGEST_VIEW = 8 << 20
 
 class Shown(Saved):
     """What appears in a notebook: as a view that can be rotated, or, where that would be large, as a picture."""
+
+    def __repr__(self) -> str:
+        shown: Any = self
+        name, parts = shown.character.name, len(shown.handles.positions)
+        return (
+            f"<{type(self).__name__} of {name!r}: {len(shown.character.vertices):,} vertices, {parts} parts, "
+            f"{len(shown.motion) / shown.fps:.4g} s>"
+        )
 
     def sheet(self, frames: int = 8, columns: int | None = None) -> bytes:
         """A contact sheet as a PNG: `frames` pictures (1 to 400) from first to last frame, `columns` in a row."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import tempfile
 from collections.abc import Iterable, Mapping
@@ -12,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from bunraku.core.animation import AnimatedCharacter, Animation, RigAnimation
+from bunraku.core.arguments import checked
 from bunraku.core.character import Handles
 from bunraku.core.files import check_output_folder, read_bounded
 from bunraku.core.geometry.curves import STRIDE, gaussian
@@ -98,6 +100,7 @@ def _travel(path: np.ndarray, fps: float) -> np.ndarray:
     return np.asarray(out)
 
 
+@checked
 def save_clips(
     animations: Mapping[str, AnimatedCharacter],
     path: str | Path,
@@ -133,7 +136,7 @@ def save_clips(
         raise OptionError("there is no clip to write; give at least one animation")
     if any(not str(name).strip() for name in animations):
         raise OptionError("a clip has no name; give each one")
-    if add and path.exists():
+    if add and os.path.exists(path):
         if suffix == ".fbx":
             raise OptionError("clips are added to a GLB, not to an FBX; write all clips at once")
         return _added(animations, path, fps)
@@ -247,6 +250,7 @@ def preset_rows() -> list[dict[str, object]]:
     return [asdict(preset) for preset in PRESETS]
 
 
+@checked
 def save_for(
     preset: str | Preset, animations: Mapping[str, AnimatedCharacter], path: str | Path, *, fps: float | None = None
 ) -> list[Path]:

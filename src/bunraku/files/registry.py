@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from bunraku.core.animation import Animation, PointAnimation, RigAnimation
+from bunraku.core.arguments import checked
 from bunraku.core.avatars import MmdModel, VrmModel
 from bunraku.core.character import Character, Handles
 from bunraku.core.files import MAX_BYTES, MAX_TEXT_BYTES, check_input, check_output_folder, open_input
@@ -245,7 +246,7 @@ def holds_character(path: Path) -> bool:
     Raises:
         FormatError: The file is missing, or its kind is unknown.
     """
-    if path.is_dir():
+    if os.path.isdir(path):  # unlike Path.is_dir, no name makes it raise
         return False
     size = check_input(path)
     with open_input(path) as file:
@@ -310,6 +311,7 @@ def _read(path: str | Path, kind: str, **options: object) -> Any:
         ) from error
 
 
+@checked
 def load_character(
     path: str | Path,
     *,
@@ -444,6 +446,7 @@ def check_writer(path: str | Path, character: Character | None = None, *, points
         provided("check_mmd_character")(character, Path(path))
 
 
+@checked
 def save_character(
     character: Character,
     path: str | Path,

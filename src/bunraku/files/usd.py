@@ -8,6 +8,7 @@ import os
 import re
 import shutil
 import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
@@ -475,6 +476,14 @@ def _check_textures(path: Path, look: Look) -> None:
         raise FormatError(path, f"{folder} exists and holds other files; choose another name for the USD file")
 
 
+def _done(write: Callable[..., object], *arguments: str) -> bool:
+    """Whether USD wrote something; it also says by an exception that the disk is full."""
+    try:
+        return bool(write(*arguments))
+    except RuntimeError:  # pxr.Tf.ErrorException
+        return False
+
+
 def _export(usd: dict[str, ModuleType], stage: Any, path: Path, look: Look) -> Path:
     """Write the stage and its textures to a folder beside the target, and move them when they are complete."""
     check_output_folder(path)
@@ -490,14 +499,14 @@ def _export(usd: dict[str, ModuleType], stage: Any, path: Path, look: Look) -> P
             Path(folder, f"{prim_name(path.stem)}{'.usda' if suffix == '.usda' else '.usdc'}"),
             Path(folder, look.folder),
         )
-        written = bool(stage.GetRootLayer().Export(str(layer)))
+        written = _done(stage.GetRootLayer().Export, str(layer))
         if look.textures:
             images.mkdir()
             for name, data in look.textures.items():
                 (images / name).write_bytes(data)
         if written and suffix == ".usdz":
             package = layer.with_suffix(".usdz")
-            written = bool(usd["UsdUtils"].CreateNewUsdzPackage(str(layer), str(package)))
+            written = _done(usd["UsdUtils"].CreateNewUsdzPackage, str(layer), str(package))
             layer = package
         if not written:
             raise FormatError(path, "USD cannot write the file; choose another folder or free some space")

@@ -13,13 +13,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from bunraku.errors import OptionError
+from bunraku.errors import NotUnderstood
 from bunraku.language.interactions import interaction_of, thing_words
 from bunraku.language.lexicon import in_known_words, lexicon
 from bunraku.language.lexicon import words_of as words_in
 from bunraku.language.prompts import check_prompt, narrow, plain_words
 from bunraku.language.sentence import UnknownWord
 from bunraku.language.vocabulary import FUNCTION_WORDS, corrected, says_action, words_of
+from bunraku.language.word_table import LANGUAGES
 
 if TYPE_CHECKING:
     from bunraku.language.translation import Translation
@@ -210,20 +211,21 @@ def check_understood(prompt: str, force: bool = False) -> Understanding:
         force: Take it even where nothing of it is understood.
 
     Raises:
-        OptionError: No movement in it is understood, and `force` is false; the message names its words and the nearest
-            sentences that are understood.
+        NotUnderstood: No movement in it is understood, and `force` is false; the message names its words and the
+            nearest sentences that are understood.
     """
     found = understood(prompt)
     if found.ok or force:
         return found
     if found.denied:
-        raise OptionError(
-            f"{found.denied[0]!r} says what is not done, which is not understood; say what is done instead, or go on "
-            "with --force (force=True in Python)"
+        raise NotUnderstood(
+            f"{found.denied[0]!r} says what is not done, which is not understood; say what is done instead"
         )
     what = _quoted(found.unknown) if found.unknown else f"'{' '.join(prompt.split())[:60]}'"
     near = "; ".join(f"'{sentence}'" for sentence in found.nearest)
-    raise OptionError(
-        f"no movement is understood in the prompt ({what}); sentences like it that are understood: {near}; say it in "
-        "other words, or go on with --force (force=True in Python)"
+    *others, last = LANGUAGES.values()
+    read = "" if not found.unknown else f", which is read in English, {', '.join(others)} and {last}"
+    raise NotUnderstood(
+        f"no movement is understood in the prompt ({what}){read}; sentences like it that are understood: {near}; say "
+        "it in other words"
     )

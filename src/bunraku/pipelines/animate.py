@@ -12,9 +12,11 @@ import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.core.animation import AnimatedCharacter, Animation
+from bunraku.core.arguments import checked
 from bunraku.core.body.layout import kept_handles
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
+from bunraku.core.nn.layers import one_thread
 from bunraku.core.request import Progress
 from bunraku.core.travel import GroundPath
 from bunraku.errors import MotionError, OptionError
@@ -35,6 +37,7 @@ def opened(character: Character | str | Path) -> Character:
     return load_character(character) if isinstance(character, str | Path) else character
 
 
+@checked
 def rig(
     character: Character | str | Path,
     *,
@@ -56,6 +59,7 @@ def rig(
     return Animator.shipped(progress).handles(opened(character), handles)
 
 
+@checked
 def with_skeleton(
     character: Character | str | Path, names: Literal["mixamo", "vrm", "unreal"], *,
     handles: Handles | Literal["predict", "rig"] = "predict", progress: Progress | None = None,
@@ -105,6 +109,7 @@ def generate(prompt: str, **how: Unpack[_Generating]) -> HandleMotion: ...
 def generate(prompt: list[str] | tuple[str, ...], **how: Unpack[_Generating]) -> list[HandleMotion]: ...
 
 
+@checked
 def generate(
     prompt: str | list[str] | tuple[str, ...],
     *,
@@ -159,9 +164,43 @@ def generate(
     return motions[0] if isinstance(prompt, str) else motions
 
 
+class _Animating(TypedDict, total=False):
+    """Keyword arguments of `animate`."""
+
+    seconds: float
+    seed: int
+    steps: int | None
+    guidance: float | None
+    handles: Handles | Literal["predict", "rig"]
+    apparel: str
+    stiffness: float
+    gravity: float
+    loop: bool
+    in_place: bool
+    after: HandleMotion | AnimatedCharacter | None
+    path: GroundPath | Sequence[Sequence[float]] | None
+    pins: Sequence[Pin]
+    stages: Stages | None
+    candidates: int
+    force: bool
+    rig: Literal["auto", "own", "handles"]
+    progress: Progress | None
+
+
+@overload
+def animate(character: Character | str | Path, prompt: str, **how: Unpack[_Animating]) -> AnimatedCharacter: ...
+
+
+@overload
+def animate(
+    character: Character | str | Path, prompt: list[str] | tuple[str, ...], **how: Unpack[_Animating]
+) -> list[AnimatedCharacter]: ...
+
+
+@checked
 def animate(
     character: Character | str | Path,
-    prompt: str,
+    prompt: str | list[str] | tuple[str, ...],
     *,
     seconds: float = 6.0,
     seed: int = 0,
@@ -181,14 +220,15 @@ def animate(
     force: bool = False,
     rig: Literal["auto", "own", "handles"] = "auto",
     progress: Progress | None = None,
-) -> AnimatedCharacter:
+) -> AnimatedCharacter | list[AnimatedCharacter]:
     """Make a character do what a sentence says.
 
     Args:
         character: Any mesh, +Y up and facing +Z, or its file.
         prompt: What it does, in English or a language of `language.words`; or several sentences in a row with their
-            seconds: "walks:4; jumps:2; waves:3". Other bodies than a person's do it as their kind does: "a person
-            walks" makes a dog walk on four legs.
+            seconds: "walks:4; jumps:2; waves:3"; or a list of such prompts, which are made in shared passes, all with
+            the same seed. Other bodies than a person's do it as their kind does: "a person walks" makes a dog walk on
+            four legs.
         seconds: Length [s], 0.5 to 120, shared by sentences without seconds of their own.
         seed: The same seed and version give the same animation.
         steps: Sampling steps; None takes the default.
@@ -211,7 +251,7 @@ def animate(
 
     Returns:
         An `Animation` or, where its own bones move it, a `RigAnimation`, at 20 frames a second; at 30 where apparel is
-        simulated, and a `PointAnimation` where it is learned.
+        simulated, and a `PointAnimation` where it is learned. A list of them for a list of prompts.
 
     Raises:
         OptionError: The prompt is refused, a number is out of range, parts of the request do not go together, or a pin
@@ -219,19 +259,22 @@ def animate(
         CharacterError: `handles` are not 30, or cannot be taken from the rig; or there are no physics to simulate.
         WeightsError: The shipped weights are missing or broken.
     """
-    request = Request(
-        prompt, Sampling(seconds, seed, steps, guidance, candidates),
-        Constraints.of(loop=loop, in_place=in_place, after=after, path=path, pins=pins),
-        Apparel(apparel, stiffness, gravity),
-        stages, "predict" if handles is None else handles, force, rig,
-    )  # fmt: skip
-    return Animator.shipped(progress)(opened(character), request)
+    sampling = Sampling(seconds, seed, steps, guidance, candidates)
+    constraints = Constraints.of(loop=loop, in_place=in_place, after=after, path=path, pins=pins)
+    moved = Apparel(apparel, stiffness, gravity)
+    requests = [
+        Request(text, sampling, constraints, moved, stages, "predict" if handles is None else handles, force, rig)
+        for text in ([prompt] if isinstance(prompt, str) else prompt)
+    ]
+    made = list(Animator.shipped(progress).each(opened(character), requests)) if requests else []
+    return made[0] if isinstance(prompt, str) else made
 
 
 _log = logging.getLogger(__name__)
 Clip = TypeVar("Clip", bound=HandleMotion | Animation)
 
 
+@one_thread()
 def edited(animator: Animator, clip: Clip, request: Request) -> Clip:
     """A clip of which a part is kept and the rest generated from a sentence (section A.3 of TapMo).
 
@@ -260,7 +303,10 @@ def edited(animator: Animator, clip: Clip, request: Request) -> Clip:
         if pins:
             raise OptionError("pins are positions of a character's hands and feet; edit an animation of it")
         return cast(Clip, generated(clip, None))
-    assert isinstance(clip, Animation)
+    if not isinstance(clip, Animation):
+        raise OptionError(
+            f"a motion or an Animation of handles is edited, not {type(clip).__name__}; animate with rig='handles'"
+        )
     handles = clip.handles
     if handles.features is None:
         handles = replace(handles, features=animator.predictor.feature(clip.character))
@@ -284,6 +330,7 @@ def edited(animator: Animator, clip: Clip, request: Request) -> Clip:
     return cast(Clip, Animation(clip.character, clip.handles, fitted, made))
 
 
+@checked
 def edit(
     clip: Clip,
     prompt: str,

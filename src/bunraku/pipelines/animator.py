@@ -20,6 +20,7 @@ from bunraku.anatomy.scene import separated
 from bunraku.core.animation import AnimatedCharacter, Animation, RigAnimation
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion, resample
+from bunraku.core.nn.layers import each_in_one_thread, one_thread
 from bunraku.core.request import SECONDS, Progress
 from bunraku.core.travel import GroundPath
 from bunraku.errors import CharacterError, FormatError, OptionError
@@ -156,16 +157,20 @@ class Animator:
         Raises:
             OptionError: The requests differ in more; and as for a single request.
         """
-        sentences, request, body = self._prepared(character, requests)
-        for moved in self._moved(body, sentences, request, requests, only):
-            yield self.dress(moved, request.apparel, body.anatomy)
+
+        def dressed() -> Iterator[AnimatedCharacter]:
+            sentences, request, body = self._prepared(character, requests)
+            for moved in self._moved(body, sentences, request, requests, only):
+                yield self.dress(moved, request.apparel, body.anatomy)
+
+        return each_in_one_thread(dressed())
 
     def moved(
         self, character: Character | Body, requests: Sequence[Request], only: Collection[int] | None = None
     ) -> Iterator[Animation | RigAnimation]:
         """As `each`, with apparel that goes with the body."""
         sentences, request, body = self._prepared(character, requests)
-        yield from self._moved(body, sentences, request, requests, only)
+        return each_in_one_thread(self._moved(body, sentences, request, requests, only))
 
     def _prepared(
         self, character: Character | Body, requests: Sequence[Request]
@@ -195,6 +200,16 @@ class Animator:
                 for number in numbers:
                     if number in wanted:
                         yield self._fitted(motions[number - start], sentences[number], body, request)
+
+    @one_thread()
+    def steered(
+        self, body: Body, request: Request, change: Callable[[HandleMotion], HandleMotion]
+    ) -> Animation | RigAnimation:
+        """An animation whose motion of the reference body is changed before it is fitted to the body."""
+        sentences, as_people = adapt_to_body([request.parsed], body.anatomy)
+        drawing = self._drawing(request, body.feature, as_people)
+        (motion,) = self._draw(sentences, [request.sampling.seed], request.constraints, None, drawing)
+        return self._fitted(change(motion), sentences[0], body, request)
 
     def clips(
         self, character: Character | Body, requests: Mapping[str, Request]
@@ -236,10 +251,17 @@ class Animator:
                 "leave these out, or make it shorter"
             )
         body = character if isinstance(character, Body) else self.body(character, request)
-        for number, part in enumerate(in_stretches(sentence, STRETCH)):
+        parts = list(in_stretches(sentence, STRETCH))
+        for number, part in enumerate(parts):
+
+            def report(stage: str, done: float, number: int = number) -> None:
+                within = 0.8 * done if stage == "generate" else 0.8
+                self.progress("stretches", (number + within) / len(parts))
+
             seed = request.sampling.seed + number
-            motion = self(body, replace(request.with_seed(seed), sentence=part))
+            motion = replace(self, progress=report)(body, replace(request.with_seed(seed), sentence=part))
             yield motion
+            self.progress("stretches", (number + 1) / len(parts))
             last = motion.take(slice(-HISTORY, None))
             request = replace(request, constraints=request.constraints.following(last))
 
@@ -270,6 +292,7 @@ class Animator:
             for motion, sentence in zip(motions, sentences, strict=True)
         ]
 
+    @one_thread()
     def handles(self, character: Character, handles: Handles | str = "predict") -> Handles:
         """The handles of a character (Eq. 1 of TapMo), at most four weights a vertex, as viewers read them.
 
@@ -291,6 +314,7 @@ class Animator:
         self.progress("handles", 1.0)
         return best
 
+    @one_thread()
     def body(self, character: Character, request: Request) -> Body:
         """A character as a request moves it; several runs of one character share it.
 

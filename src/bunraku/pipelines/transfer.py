@@ -16,8 +16,10 @@ from typing import Literal
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.apparel.chains.moving import check_apparel
 from bunraku.core.animation import AnimatedCharacter, Animation, RigAnimation
+from bunraku.core.arguments import checked
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
+from bunraku.core.nn.layers import one_thread
 from bunraku.core.request import Progress
 from bunraku.errors import CharacterError
 from bunraku.files import bones_of
@@ -80,6 +82,7 @@ class Source:
         return reference_motion(self.motion, fps=self.fps, names=self.names)
 
 
+@one_thread()
 def transferred(
     animator: Animator, character: Character, motion: Motion | Source | str | Path, request: TransferRequest
 ) -> AnimatedCharacter:
@@ -107,6 +110,7 @@ def transferred(
     return animator.dress(moved, request.apparel)
 
 
+@checked
 def transfer(
     character: Character | str | Path,
     motion: Motion | Source | str | Path,

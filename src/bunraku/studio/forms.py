@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from bunraku.core.request import (
     CANDIDATES,
@@ -30,15 +30,16 @@ if TYPE_CHECKING:
     from bunraku.retarget.pins import Pin
 
 __all__ = [
-    "ChangeForm", "CharacterForm", "ClipsForm", "Drawn", "DressForm", "ExportForm", "MOST_PARTS", "MOST_SEED",
-    "MOST_WORDS", "Motion", "Part", "PoseForm", "TIME", "TakeForm", "TakeRecordForm", "check_asked", "read_path",
-    "read_pins", "read_script", "script_json", "sequence_of", "stages_without",
+    "ChangeForm", "CharacterForm", "ClipsForm", "Drawn", "DressForm", "ExportForm", "LiveForm", "MOST_PARTS",
+    "MOST_SEED", "MOST_WORDS", "Motion", "Part", "PoseForm", "TIME", "TakeForm", "TakeRecordForm", "check_asked",
+    "read_path", "read_pins", "read_script", "script_json", "sequence_of", "stages_without",
 ]  # fmt: skip
 
 
 MOST_SEEDS = 8
 MOST_SEED = 2**53
 """Seeds are less, so that a browser knows them exactly."""
+TURNED = Limit("direction", -1e6, 1e6)
 TIME = Limit("time", 0, SECONDS.high)
 Motion = Literal["rigid", "simulate", "chains", "learn"]
 """How apparel moves."""
@@ -90,9 +91,9 @@ class Drawn:
     """
 
     seeds: tuple[float, ...] = (0,)
-    steps: int | None = None
-    guidance: float | None = None
-    candidates: int = 3
+    steps: Annotated[int | None, STEPS] = None
+    guidance: Annotated[float | None, GUIDANCE] = None
+    candidates: Annotated[int, CANDIDATES] = 3
     force: bool = False
     without: tuple[str, ...] = ()
     pins: tuple[object, ...] = ()
@@ -103,9 +104,6 @@ class Drawn:
         if any(seed != int(seed) or not 0 <= seed < MOST_SEED for seed in self.seeds):
             raise OptionError("seeds are whole numbers from 0 on")
         object.__setattr__(self, "seeds", tuple(int(seed) for seed in self.seeds) or (0,))
-        STEPS.check(self.steps, "steps")
-        GUIDANCE.check(self.guidance, "guidance")
-        CANDIDATES.check(self.candidates, "candidates")
 
     def sampling(self, seconds: float) -> Sampling:
         """The same of a clip of some seconds."""
@@ -117,12 +115,8 @@ class DressForm:
     """How the apparel of takes moves; see `Apparel`."""
 
     apparel: Motion = "rigid"
-    stiffness: float = 1.0
-    gravity: float = 1.0
-
-    def __post_init__(self) -> None:
-        STIFFNESS.check(self.stiffness, "stiffness")
-        GRAVITY.check(self.gravity, "gravity")
+    stiffness: Annotated[float, STIFFNESS] = 1.0
+    gravity: Annotated[float, GRAVITY] = 1.0
 
     @property
     def apparel_request(self) -> Apparel:
@@ -213,10 +207,6 @@ class TakeForm(Drawn, DressForm):
     after: str | None = None
     rig: Literal["handles", "own"] = "handles"
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        DressForm.__post_init__(self)
-
     def request(self, handles: Literal["predict", "rig"] = "predict") -> Request:
         """The request, checked; a take that is followed is only named. `handles` says how the character's were made.
 
@@ -301,10 +291,7 @@ class ExportForm:
     """
 
     format: Literal["glb", "bvh", "vrma", "vmd", "npz", "fbx", "usdz", "usdc", "mp4", "gif"] = "glb"
-    fps: float = 30.0
-
-    def __post_init__(self) -> None:
-        FPS.check(self.fps, "fps")
+    fps: Annotated[float, FPS] = 30.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -330,13 +317,9 @@ class TakeRecordForm:
 class PoseForm:
     """A pose that stays; see `requests.Pose`."""
 
-    time: float = 0.0
+    time: Annotated[float, TIME] = 0.0
     take: str | None = None
-    at: float | None = None
-
-    def __post_init__(self) -> None:
-        TIME.check(self.time)
-        TIME.check(self.at, "at")
+    at: Annotated[float | None, TIME] = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -355,13 +338,13 @@ class ChangeForm(Drawn):
 
     prompt: str = ""
     keep: tuple[str, ...] = ()
-    span: tuple[float, ...] | None = None
+    span: tuple[Annotated[float, TIME], ...] | None = None
     poses: tuple[PoseForm, ...] = ()
     apparel: Motion | None = None
-    stiffness: float = 1.0
-    gravity: float = 1.0
+    stiffness: Annotated[float, STIFFNESS] = 1.0
+    gravity: Annotated[float, GRAVITY] = 1.0
     mirror: bool = False
-    trim: tuple[float, float] | None = None
+    trim: tuple[Annotated[float, TIME], Annotated[float, TIME]] | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -369,10 +352,6 @@ class ChangeForm(Drawn):
             raise OptionError(f"prompt has more than {MOST_WORDS} characters, {len(self.prompt):,}; say it in fewer")
         if len(self.span or ()) not in (0, 2):
             raise OptionError("a span is two seconds, from and to")
-        for second in self.span or ():
-            TIME.check(second, "span")
-        for second in self.trim or ():
-            TIME.check(second, "trim")
         if self.trim and self.trim[0] >= self.trim[1]:
             raise OptionError("trim is from an earlier second to a later one")
 
@@ -407,6 +386,31 @@ class ChangeForm(Drawn):
         kept = ("seeds", "keep", "span", "poses", "pins", "prompt")
         return {**{name: to_json(getattr(self, name)) for name in kept}, "apparel": apparel.motion,
                 "stiffness": apparel.stiffness, "gravity": apparel.gravity}  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class LiveForm:
+    """The next poses of a character that never stops (`bunraku.live`).
+
+    Args:
+        session: The name that the first answer gave; "" begins another.
+        sentence: What it does next; "" goes on.
+        direction: Where it faces and travels, x and z; None lets sentences decide.
+        start: The number of the first pose, where those that came before from there on were not shown.
+        seconds: How much comes.
+    """
+
+    session: str = ""
+    sentence: str = ""
+    direction: tuple[Annotated[float, TURNED], Annotated[float, TURNED]] | None = None
+    start: Annotated[int | None, Limit("start", 0, 2**53)] = None
+    seconds: Annotated[float, Limit("seconds", 0.1, 4)] = 1.0
+
+    def __post_init__(self) -> None:
+        if len(self.sentence) > MOST_WORDS:
+            raise OptionError(
+                f"sentence has more than {MOST_WORDS} characters, {len(self.sentence):,}; say it in fewer"
+            )
 
 
 MOST_CLIPS = 100

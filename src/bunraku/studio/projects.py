@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import struct
 import zipfile
@@ -21,6 +22,7 @@ from bunraku.studio.store import Store
 __all__ = ["copy_entry", "open_archive", "pack_project", "read_entry", "unpack_project"]
 
 
+_DAMAGED = "the file is damaged or has a password; pack or save it again"
 _END = struct.Struct("<4s4H2LH")
 _LARGEST_ENTRY = 600
 """Most bytes of an entry in the directory, on average."""
@@ -45,8 +47,12 @@ def open_archive(path: Path, entries: int, size: int) -> Iterator[zipfile.ZipFil
             if any(member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for member in members):
                 raise FormatError(path.name, "it is packed in a rare way; pack it again as an ordinary ZIP")
             yield archive
-    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, ValueError, zlib.error):
-        raise FormatError(path.name, "the ZIP is broken or has a password; pack or save it again") from None
+    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, ValueError, zlib.error) as error:
+        raise FormatError(path.name, _DAMAGED) from error
+    except OSError as error:
+        if error.errno != errno.EINVAL:  # which says that the directory names bytes before the file
+            raise
+        raise FormatError(path.name, _DAMAGED) from error
 
 
 def _check_directory(path: Path, entries: int) -> None:
@@ -161,6 +167,8 @@ def _read_about(archive: zipfile.ZipFile) -> dict[str, Any]:
         )
         if not isinstance(about["takes"], list):
             raise OptionError("takes must be a list")
+        if len({str(take["was"]) for take in about["takes"]}) < len(about["takes"]):
+            raise OptionError("two of its takes are stored in the same files")
         for take in about["takes"]:
             check_facts("takes", {name: take[name] for name in TAKE_FACTS if name in take})
             check_asked(take.get("how"), take.get("script"), take.get("asked"))
@@ -171,6 +179,7 @@ def _added(
     store: Store, title: str, archive: zipfile.ZipFile, about: dict[str, Any], made: list[tuple[str, str]]
 ) -> dict[str, Any]:
     """Add a checked project to the store; `made` gets each thing as it is begun."""
+    store.check_takes(len(about["takes"]))
     old = about["character"]
     fresh = {name: old[name] for name in CHARACTER_FACTS if name in old}
     character = store.new("characters", {**fresh, "state": "opening", "error": "", "version": 1})

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from bunraku.core.request import GRAVITY, GUIDANCE, SECONDS, STEPS, STIFFNESS, Limit, from_json, read_json
+from bunraku.core.request import FPS, GRAVITY, GUIDANCE, SECONDS, STEPS, STIFFNESS, WHOLE, Limit, from_json, read_json
 from bunraku.core.travel import LONGEST
 from bunraku.errors import OptionError
 from bunraku.studio.forms import MOST_PARTS, MOST_SEED, TIME, Motion, PoseForm, read_pins
-from bunraku.studio.workspace import Settings
+from bunraku.studio.workspace import MAX_VERTICES, Settings
 
 __all__ = [
     "CHARACTER_FACTS", "LARGEST", "RECORD", "Record", "TAKE_FACTS", "View", "check_facts", "checked_view",
@@ -25,14 +24,23 @@ Record = dict[str, Any]
 RECORD = "record.json"
 LARGEST = 4 << 20
 """Bytes of a record."""
-_Point = tuple[float, float, float]
+_COUNT = Limit("count", 0, 2**53)
+"""Numbers of versions, which a browser knows exactly."""
+_FAR = Limit("coordinates", -1e6, 1e6)
+"""Metres; farther from the origin a float32 is coarser than 6 cm."""
+_Count = Annotated[int, _COUNT]
+_Index = Annotated[int, Limit("number", 0, MAX_VERTICES)]
+_Seed = Annotated[int, Limit("seed", 0, MOST_SEED - 1)]
+_Share = Annotated[float, Limit("share", 0, 1)]
+_Metres = Annotated[float, _FAR]
+_Point = tuple[_Metres, _Metres, _Metres]
 
 
 @dataclass(frozen=True)
 class _Axes:
     up: str
     front: str
-    sure: float = 1.0
+    sure: _Share = 1.0
     other: tuple[str, str] | None = None
 
 
@@ -46,7 +54,7 @@ class _Unit:
 @dataclass(frozen=True)
 class _End:
     part: str
-    handle: int
+    handle: _Index
     point: _Point
 
 
@@ -54,7 +62,7 @@ class _End:
 class _Chain:
     name: str
     kind: str
-    joint: int
+    joint: _Index
     points: tuple[_Point, ...]
 
 
@@ -67,26 +75,29 @@ class _CharacterFacts:
     settings: Settings
     axes: _Axes | None = None
     unit: _Unit | None = None
-    vertices: int = 0
-    faces: int = 0
-    height: float = 0.0
+    vertices: _Index = 0
+    faces: _Count = 0
+    height: _Metres = 0.0
     bounds: tuple[_Point, _Point] | None = None
-    joints: int = 0
+    joints: _Index = 0
     rig: bool = False
     physics: bool = False
     apparel: bool = False
     skeleton: bool = False
-    picture: int = 0
+    picture: _Count = 0
     mmd: bool = False
-    roles: tuple[int, ...] = ()
+    roles: tuple[_Index, ...] = ()
     positions: tuple[_Point, ...] = ()
-    used: tuple[int, ...] = ()
+    used: tuple[_Index, ...] = ()
     ends: tuple[_End, ...] = ()
     clips: tuple[str, ...] = ()
     chains: tuple[_Chain, ...] = ()
     unchained: str = ""
-    laid: int = 0
+    laid: _Count = 0
     painted: bool = False
+
+
+_Length = Annotated[float, Limit("seconds", 0, WHOLE.high)]
 
 
 @dataclass(frozen=True)
@@ -94,7 +105,7 @@ class _Said:
     """A sentence, a clip of the library, or the name of a file that a take came from."""
 
     text: str
-    seconds: float = 0.0
+    seconds: _Length = 0.0
     clip: str = ""
 
 
@@ -105,17 +116,17 @@ class _TakeFacts:
     script: tuple[_Said, ...]
     asked: object = None
     how: Literal["animate", "edit", "bend", "dress", "mirror", "trim", "transfer"] = "animate"
-    seed: int = 0
-    seeds: tuple[int, ...] = ()
+    seed: _Seed = 0
+    seeds: tuple[_Seed, ...] = ()
     star: bool = False
     title: str = ""
     skin: Literal["handles", "bones"] = "handles"
-    fps: float = 20.0
-    frames: int = 0
-    seconds: float = 0.0
+    fps: Annotated[float, FPS] = 20.0
+    frames: Annotated[int, Limit("frames", 0, WHOLE.high * FPS.high)] = 0
+    seconds: _Length = 0.0
     clip: Literal["clip.bin", "draft.bin"] = "clip.bin"
-    stiffness: float | None = None
-    gravity: float | None = None
+    stiffness: Annotated[float | None, STIFFNESS] = None
+    gravity: Annotated[float | None, GRAVITY] = None
     worn: Literal["learn", "chains"] | None = None
 
     def __post_init__(self) -> None:
@@ -123,8 +134,8 @@ class _TakeFacts:
             raise OptionError("a take needs a sentence")
         if not isinstance(self.asked, dict | None):
             raise OptionError("what was asked for a take must be an object")
-        if self.fps <= 0 or self.seconds < 0 or self.frames < 0:
-            raise OptionError("the length of a take cannot be negative")
+        if self.frames and abs(self.seconds - self.frames / self.fps) > 1:
+            raise OptionError("a take lasts as long as its frames")
 
 
 CHARACTER_FACTS = tuple(field.name for field in fields(_CharacterFacts))
@@ -183,16 +194,17 @@ def written(record: Record) -> bytes:
     return json.dumps(kept, ensure_ascii=False, allow_nan=False).encode()
 
 
+_Ground = Annotated[float, Limit("x and z of a path", -LONGEST, LONGEST)]
+_Time = Annotated[float, TIME]
+
+
 @dataclass(frozen=True)
 class _Sentence:
     """A sentence as it is typed, empty or too long for a take perhaps; or a clip of the library."""
 
     text: str
-    seconds: float
+    seconds: Annotated[float, SECONDS]
     clip: str = ""
-
-    def __post_init__(self) -> None:
-        SECONDS.check(self.seconds)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -209,37 +221,27 @@ class View:
     character: str | None = None
     take: str | None = None
     script: tuple[_Sentence, ...] = (_Sentence("walks", 4.0),)
-    sentence: int = 0
-    seed: int = 0
+    sentence: Annotated[int, Limit("sentence", 0, MOST_PARTS - 1)] = 0
+    seed: _Seed = 0
     count: Literal[1, 4] = 1
     loop: bool = False
     inPlace: bool = False
     apparel: Motion = "rigid"
-    stiffness: float = 1.0
-    gravity: float = 1.0
+    stiffness: Annotated[float, STIFFNESS] = 1.0
+    gravity: Annotated[float, GRAVITY] = 1.0
     live: bool = False
-    guidance: float | None = None
-    steps: int | None = None
+    guidance: Annotated[float | None, GUIDANCE] = None
+    steps: Annotated[int | None, STEPS] = None
     pins: tuple[object, ...] = ()
     poses: tuple[PoseForm, ...] = ()
-    path: tuple[tuple[float, float], ...] = ()
-    span: tuple[float, float] | None = None
+    path: tuple[tuple[_Ground, _Ground], ...] = ()
+    span: tuple[_Time, _Time] | None = None
     keep: tuple[str, ...] = ()
     rig: Literal["handles", "own"] = "handles"
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.script) <= MOST_PARTS:
             raise OptionError(f"script has 1 to {MOST_PARTS} entries")
-        Limit("sentence", 0, MOST_PARTS - 1).check(self.sentence)
-        Limit("seed", 0, MOST_SEED - 1).check(self.seed)
-        STIFFNESS.check(self.stiffness)
-        GRAVITY.check(self.gravity)
-        GUIDANCE.check(self.guidance)
-        STEPS.check(self.steps)
-        for coordinate in itertools.chain.from_iterable(self.path):
-            Limit("x and z of a path", -LONGEST, LONGEST).check(coordinate)
-        for second in self.span or ():
-            TIME.check(second, "span")
         read_pins(self.pins)
 
 

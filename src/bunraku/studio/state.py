@@ -9,7 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, cast
 
-from bunraku.errors import BunrakuError, OptionError
+from bunraku.errors import BunrakuError
 from bunraku.studio.jobs import OPEN_STATES, About, Job, Jobs
 from bunraku.studio.projects import unpack_project
 from bunraku.studio.store import NotThere, Store
@@ -18,7 +18,6 @@ __all__ = ["SAMPLE", "State"]
 
 SAMPLE = Path(__file__).parent / "sample.bunraku"
 """A character in motion, for the first start of the studio; `tools/make_studio_sample.py` writes it."""
-MOST_TAKES = 2000
 KEPT_EXPORTS = 3
 """Copies that were written and stay until others are."""
 
@@ -35,6 +34,8 @@ class State:
         self.jobs = Jobs(store, self._finish)
         self.writing = threading.Lock()
         """Held by requests that change what there is."""
+        self.windows: dict[str, Mapping[str, object]] = {}
+        """What jobs of live characters gave, until it is fetched."""
         store.troubled = lambda trouble: self.jobs.changes.tell("trouble", {"text": trouble})
         for take in store.all("takes"):
             if take["state"] in ("waiting", "draft"):
@@ -67,8 +68,7 @@ class State:
 
     def new_takes(self, character: str, count: int, **about: object) -> list[dict[str, Any]]:
         """Records of takes to be made; OptionError for too many, FormatError where they cannot be written down."""
-        if len(self.store.all("takes")) + count > MOST_TAKES:
-            raise OptionError(f"there are {MOST_TAKES:,} takes; delete some that are not needed")
+        self.store.check_takes(count)
         takes: list[dict[str, Any]] = []
         seeds = about.get("seeds")
         try:
@@ -175,6 +175,8 @@ class State:
 
     def _finish(self, job: Job, state: str, said: Mapping[str, object]) -> None:
         about = job["about"]
+        if job["kind"] == "live":
+            self.windows[job["id"]] = said
         if said.get("full"):
             self.store.make_room()
         if state == "partly":

@@ -20,7 +20,8 @@ from contextlib import suppress
 from pathlib import Path
 
 from bunraku.core.files import atomic_write, remove_leftovers, temporary_prefix, writing
-from bunraku.errors import BunrakuError, FormatError
+from bunraku.core.request import storable
+from bunraku.errors import BunrakuError, FormatError, OptionError
 from bunraku.studio.records import LARGEST, RECORD, Record, read_record, written
 
 __all__ = ["KINDS", "NotThere", "Store", "default_folder"]
@@ -31,6 +32,7 @@ ASIDE = "set-aside"
 """The folder of what could not be read."""
 GIVEN_UP = "given-up.json"
 """The record of what is given up: it is deleted when the studio starts again, or when the disk is full."""
+MOST_TAKES = 2000
 _ID = re.compile(r"[0-9a-f]{16}")
 _PROBE = 64 << 10
 """Bytes that are written to try the folder: at the start, and after it refused a file."""
@@ -76,6 +78,10 @@ class Store:
                 home.mkdir(exist_ok=True)
             for entry in sorted(home.iterdir()) if home.is_dir() else ():
                 self._find(kind, entry)
+        for name, record in list(self._records["takes"].items()):
+            owner = str(record.get("character"))
+            if owner not in self._records["characters"] and not (self.folder / ASIDE / f"character-{owner}").is_dir():
+                self.drop("takes", name)  # its character was given up
         self._tell_aside()
 
     def _probe(self) -> None:
@@ -149,7 +155,7 @@ class Store:
         """Add a thing and give back its record with its id; FormatError where it cannot be written."""
         name = secrets.token_hex(8)
         folder = self.folder / kind / name
-        record = {**record, "id": name, "created": time.time()}
+        record = storable({**record, "id": name, "created": time.time()})
         try:
             with writing(folder, "folder"):
                 folder.mkdir()
@@ -177,7 +183,7 @@ class Store:
         """
         with self._lock:  # the queue's thread and those of requests change the same things
             old = self.get(kind, name)
-            record = {**old, **values}
+            record = {**old, **storable(values)}
             if bool(old.get("deleted")) != bool(record.get("deleted")):
                 self._give_up(kind, name, bool(record.get("deleted")))
             if values.keys() - {"deleted"}:
@@ -193,11 +199,12 @@ class Store:
         NotThere where there is no such thing.
         """
         with self._lock:
-            record = self._records[kind][name] = {**self.get(kind, name), **values}
+            record = {**self.get(kind, name), **storable(values)}
             try:
                 self._write(kind, record)
             except FormatError:
                 self._unwritten.add((kind, name))
+            self._records[kind][name] = record
         return record
 
     def _give_up(self, kind: str, name: str, gone: bool) -> None:
@@ -207,14 +214,31 @@ class Store:
             os.rename(old, new)
 
     def all(self, kind: str) -> list[Record]:
-        """All records of a kind that are not given up, oldest first."""
+        """All records of a kind that are not given up, oldest first; a take is given up with its character."""
         records = [record for record in list(self._records[kind].values()) if not record.get("deleted")]
+        if kind == "takes":
+            records = [record for record in records if self._owned(record)]
         return sorted(records, key=lambda record: float(record.get("created", 0)))
 
+    def _owned(self, take: Record) -> bool:
+        """Whether the character of a take is there and not given up."""
+        owner = self._records["characters"].get(take.get("character"))  # type: ignore[arg-type]
+        return owner is not None and not owner.get("deleted")
+
+    def check_takes(self, count: int) -> None:
+        """Raise OptionError where so many takes more are too many."""
+        if len(self.all("takes")) + count > MOST_TAKES:
+            raise OptionError(f"there are {MOST_TAKES:,} takes; delete some that are not needed")
+
     def drop(self, kind: str, name: str) -> None:
-        """Remove a thing with its files."""
+        """Remove a thing with its files, and a character with its takes."""
         if self._records[kind].pop(name, None) is not None:
             shutil.rmtree(self.folder / kind / name, ignore_errors=True)
+        if kind == "characters":
+            for take in [
+                take for take, record in list(self._records["takes"].items()) if record.get("character") == name
+            ]:
+                self.drop("takes", take)
 
     def make_room(self) -> bool:
         """Remove what is given up, and copies that were written; whether there was any."""

@@ -14,6 +14,7 @@ from bunraku.core.character import Character
 from bunraku.core.request import Progress, from_json
 from bunraku.errors import OptionError
 from bunraku.studio.dressing import WORN, chain_facts, chains_of
+from bunraku.studio.forms import LiveForm
 from bunraku.studio.takes import (
     Animate,
     Bend,
@@ -27,10 +28,10 @@ from bunraku.studio.takes import (
     Transfer,
     Trim,
 )
-from bunraku.studio.wire import Dressed, save_handles
+from bunraku.studio.wire import Dressed, packed_clip, save_handles
 from bunraku.studio.workspace import PREVIEWS, Settings, Workspace, apparel_facts, character_facts, opened_character
 
-__all__ = ["CHAINED", "Export", "ExportClips", "FindApparel", "LayChains", "Open", "TASKS", "run_task"]
+__all__ = ["CHAINED", "Export", "ExportClips", "FindApparel", "LayChains", "Live", "Open", "TASKS", "run_task"]
 
 
 CHAINED = "chains.glb"
@@ -107,6 +108,25 @@ def _clips_of(character: Character) -> list[str]:
     return clip_names(source.document)[:50] if isinstance(source, Source) and character.rig is not None else []
 
 
+@dataclass(frozen=True, kw_only=True)
+class Live(LiveForm):
+    """The next poses of a character that never stops, as a clip; `begins` a session, or goes on with one."""
+
+    character: str
+    begins: bool
+
+    def __call__(self, workspace: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
+        live = workspace.live(self.session, self.character, self.begins)
+        if live.direction != self.direction:
+            live.go(self.direction)
+        if self.sentence:
+            live.say(self.sentence)
+        first, made = live.window(round(self.seconds * live.fps), self.start)
+        return {"first": first, "clip": packed_clip(made)}
+
+
+VIDEOS = {".mp4": (1280, 720), ".gif": (480, 360)}
+"""Sizes of videos in pixels."""
 BODIES = (".bvh", ".vrma", ".vmd", ".npz")
 """Formats of the motion of a body, in which apparel has no place."""
 
@@ -128,7 +148,9 @@ class Export:
         check_writer(target)
         report("write", 0.1)
         take = workspace.take(self.take, self.character)
-        options = {} if target.suffix in (".npz", ".vmd") else {"fps": self.fps}
+        options: dict[str, Any] = {} if target.suffix in (".npz", ".vmd") else {"fps": self.fps}
+        if target.suffix in VIDEOS:
+            options["size"] = VIDEOS[target.suffix]
         if isinstance(take, Dressed):
             shown = take.points if take.bones is None else take.bones
             (take.body if target.suffix in BODIES else shown).save(target, **options)
@@ -197,7 +219,7 @@ def _named(
 TASKS: dict[str, type[Task]] = {
     "open": Open, "find-out": FindApparel, "lay-chains": LayChains,
     "animate": Animate, "edit": Edit, "bend": Bend, "dress": Dress, "mirror": Mirror, "trim": Trim,
-    "transfer": Transfer, "play": Play, "preview": Preview,
+    "transfer": Transfer, "play": Play, "preview": Preview, "live": Live,
     "export": Export, "export-clips": ExportClips,
 }  # fmt: skip
 

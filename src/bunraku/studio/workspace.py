@@ -19,6 +19,7 @@ from bunraku.core.files import atomic_write
 from bunraku.errors import BunrakuError, CharacterError, OptionError
 from bunraku.files import in_metres, load_character, resolve_unit, rotated
 from bunraku.pipelines.animator import Body
+from bunraku.pipelines.live import Live
 from bunraku.studio.dressing import painted_file
 from bunraku.studio.wire import Dressed, Take, body_of, load_handles, load_take, packed_clip, save_take
 
@@ -158,6 +159,7 @@ class Workspace:
         self.folder = Path(folder)
         self._open: OrderedDict[tuple[str, int], tuple[Character, Handles]] = OrderedDict()
         self._bodies: OrderedDict[str, Body] = OrderedDict()
+        self._lives: OrderedDict[str, tuple[str, Live]] = OrderedDict()
 
     def warm_up(self) -> None:
         """Load the networks, so that the first job does not wait for them."""
@@ -207,6 +209,17 @@ class Workspace:
             while len(self._bodies) > KEPT:
                 self._bodies.popitem(last=False)
         return self._bodies[name]
+
+    def live(self, session: str, owner: str, begins: bool) -> Live:
+        """A character that never stops, by the name of its session; OptionError where it has ended."""
+        if begins:
+            self._lives[session] = owner, Live(self.body(owner), lead=0)
+            while len(self._lives) > KEPT:
+                self._lives.popitem(last=False)
+        if self._lives.get(session, ("",))[0] != owner:
+            raise OptionError("this session has ended; begin another one")
+        self._lives.move_to_end(session)
+        return self._lives[session][1]
 
     def take(self, name: str, owner: str) -> Take:
         """A take that is finished, of a character."""

@@ -10,7 +10,8 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from bunraku.cli.outputs import check_folder, check_input, check_range, check_source, stages
+from bunraku.cli.outputs import check_input, check_range, check_source, stages
+from bunraku.core.files import writing
 from bunraku.errors import OptionError
 from bunraku_lab.evaluation.report import Report, Table, bar_table
 
@@ -219,7 +220,8 @@ class EvaluateTables(Printed):
         check_source(self.characters, "name a folder of rigged characters")
         check_source(self.baselines, "name a folder of weights")
         check_source(self.apparel, "name the folder that `bunraku data apparel` wrote")
-        check_folder(self.work)
+        with writing(self.work, "folder"):
+            self.work.mkdir(parents=True, exist_ok=True)
         check_range("--pool", self.pool, 4, 100_000)
         from bunraku_lab.evaluation.tables.measured import TablesConfig, measure_tables
 

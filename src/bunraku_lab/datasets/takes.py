@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from bunraku.core.body.layout import JOINT_NAMES
-from bunraku.core.files import read_bounded, remove_leftovers
+from bunraku.core.files import path_inside, read_bounded, remove_leftovers
 from bunraku.core.motion import HandleMotion, SkeletalMotion, resample_motion
 from bunraku.core.parallel import Pool
 from bunraku.errors import BunrakuError, FormatError, MotionError
@@ -230,10 +230,9 @@ def _take(path: Path, row: Mapping[str | None, str | None], line: int) -> Take:
         raise FormatError(path, f"line {line}: the {'text' if name else 'file'} is missing")
     if len(text) > MOST_WORDS:
         raise FormatError(path, f"line {line}: the text has more than {MOST_WORDS} letters; say it shorter")
-    root = path.parent.resolve()
-    file = (root / name.replace("\\", "/")).resolve()
-    if not file.is_relative_to(root):
-        raise FormatError(path, f"line {line}: {name} leads out of the folder; copy the motion into it")
+    file = path_inside(path.parent, name)
+    if file is None:
+        raise FormatError(path, f"line {line}: {name!r} names no file below the folder; copy the motion into it")
     if not file.exists():
         raise FormatError(path, f"line {line}: there is no file {name} in the folder")
     start, end = (_seconds(path, cells.get(column, ""), line) for column in ("start", "end"))

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bunraku.anatomy.handles.orientation_evidence import Combination, ShapeView, gathered, has_rule, kind_weights
+from bunraku.core.arguments import checked
 from bunraku.core.character import Character
 from bunraku.core.geometry.axes import AXES, ORIENTATIONS, axis_name, default_orientation, upright_rotation
 from bunraku.core.geometry.surface import surface_points
@@ -98,6 +99,7 @@ def _model(path: Path, changed: int) -> OrientationPredictor:
     return load_orientation_predictor(path)
 
 
+@checked
 def guess_orientation(
     character: Character,
     *,
@@ -247,6 +249,7 @@ def resolved_axes(guess: Orientation, rule: bool = False) -> tuple[str, str]:
     return usual if stays else (guess.up, guess.front)
 
 
+@checked
 def upright(character: Character, up: str = "auto", front: str = "auto") -> Character:
     """The character standing along +Y and facing +Z, as everything here wants it.
 

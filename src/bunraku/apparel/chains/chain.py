@@ -173,7 +173,7 @@ def write_parameters(chains: Sequence[Mapping[str, Any]], path: Path) -> None:
 def _read(path: Path) -> dict[str, dict[str, float]]:
     try:
         tables: dict[str, Any] = tomllib.loads(read_bounded(path).decode("utf-8-sig"))
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # bytes, TOML, or a number of thousands of digits
         raise FormatError(path, f"this is not TOML ({str(error)[:80]}); correct it") from None
     for name, table in tables.items():
         if not isinstance(table, dict):

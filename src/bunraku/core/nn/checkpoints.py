@@ -7,6 +7,7 @@ complete.
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -79,7 +80,7 @@ def _opened(path: Path, kind: str, framework: str = "np") -> Iterator[tuple[Any,
     """An open checkpoint and its config; any failure within becomes one sentence."""
     from safetensors import safe_open
 
-    if not path.is_file():
+    if not os.path.isfile(path):
         raise WeightsError(f"{path}: there is no such checkpoint; train one, or give another path")
     try:
         with safe_open(path, framework=framework) as file:
@@ -240,7 +241,7 @@ def dated_checkpoint(name: str, path: str | Path | None = None) -> tuple[Path, i
 
 def dated(path: Path) -> tuple[Path, int]:
     """A file and its time of change [ns], 0 where there is none."""
-    return path.resolve(), path.stat().st_mtime_ns if path.is_file() else 0
+    return (path.resolve(), path.stat().st_mtime_ns) if os.path.isfile(path) else (path, 0)
 
 
 def shipped_checkpoint(name: str) -> Path:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Attention", "FeedForward", "Linear", "Memory", "Norm", "PostNorm", "PreNorm", "Rotary", "Weights", "attended",
+    "each_in_one_thread",
     "gelu", "gelu_slope", "hidden_by", "normed", "one_thread", "parallel", "sigmoid", "silu", "softmax", "split_heads",
     "apply_rotary", "unit", "usable_threads",
 ]  # fmt: skip
@@ -380,6 +381,17 @@ def one_thread() -> Iterator[None]:
                 yield
     finally:
         _spare.reset(spare)
+
+
+def each_in_one_thread(items: Iterator[_One]) -> Iterator[_One]:
+    """The items of an iterator, each made within `one_thread`."""
+    while True:
+        with one_thread():
+            try:
+                item = next(items)
+            except StopIteration:
+                return
+        yield item
 
 
 def parallel(first: Callable[[], _One], second: Callable[[], _Other]) -> tuple[_One, _Other]:

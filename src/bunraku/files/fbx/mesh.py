@@ -236,6 +236,7 @@ def _matrix(numbers: np.ndarray) -> np.ndarray | None:
     if len(numbers) != 16 or not np.isfinite(numbers).all():
         return None
     out = numbers.astype(float).reshape(4, 4).T
+    out[3] = 0, 0, 0, 1
     return out if abs(np.linalg.det(out[:3, :3])) > 1e-30 else None
 
 

@@ -75,7 +75,7 @@ class _Builder:
             index.append(placed.mesh.index + start)
             start += len(placed.mesh.points)
         if shared:  # no skin, but a skeleton that carries rigid pieces
-            inverse = np.linalg.inv(np.stack([self._world_of(joint) for joint in shared]))
+            inverse = inverses(np.stack([self._world_of(joint) for joint in shared]))
             self._add_skin([self.nodes[joint] for joint in shared], inverse)
         tree = self.builder.tree
         tree["scenes"][0]["nodes"] = roots

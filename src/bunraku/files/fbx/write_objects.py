@@ -89,7 +89,7 @@ def write_elements(file: BinaryIO, elements: Sequence[Element]) -> None:
 
 
 def _append(out: bytearray, one: Element) -> None:
-    start, name = len(out), one.name.encode()
+    start, name = len(out), one.name.encode("utf-8", "replace")
     out += _RECORD_END + name
     before = len(out)
     for value in one.values:
@@ -118,7 +118,7 @@ def _append_value(out: bytearray, value: Any) -> None:
     elif isinstance(value, float):
         out += b"D" + struct.pack("<d", value)
     else:
-        data = value.encode() if isinstance(value, str) else bytes(value)
+        data = value.encode("utf-8", "replace") if isinstance(value, str) else bytes(value)
         out += (b"S" if isinstance(value, str) else b"R") + struct.pack("<I", len(data)) + data
 
 

@@ -57,7 +57,7 @@ def borrow_weights(vertices: np.ndarray, indices: np.ndarray, shares: np.ndarray
         return
     from scipy.spatial import cKDTree
 
-    nearest = good[cKDTree(vertices[good]).query(np.nan_to_num(vertices[lost]))[1]]
+    nearest = good[cKDTree(vertices[good]).query(np.nan_to_num(vertices[lost], posinf=0, neginf=0))[1]]
     indices[lost], shares[lost] = indices[nearest], shares[nearest]
 
 

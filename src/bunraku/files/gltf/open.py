@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from bunraku.core.files import check_input, path_inside, read_bounded
-from bunraku.core.request import no_constant
+from bunraku.core.request import parse_json
 from bunraku.errors import FormatError, MissingExtraError
 from bunraku.files.gltf.document import COMPONENT_TYPES, ELEMENT_SIZES, MAX_ELEMENTS, Document, room
 
@@ -277,7 +277,7 @@ def open_document(path: Path, data: bytes) -> Document:
         2 * len(written) + sum(written.count(sign) * cost for sign, cost in _TREE_COSTS.items())
     )
     try:
-        tree = json.loads(written.decode("utf-8-sig"), parse_constant=no_constant)
+        tree = parse_json(written)
     except (ValueError, RecursionError):
         raise FormatError(
             path, "its JSON cannot be parsed; the file is truncated or broken, export or download it again"

@@ -434,7 +434,7 @@ def write_bvh(
     sequence, lines = _hierarchy(motion.skeleton, motion.skeleton.offsets @ turn.T * scale, order.upper())
     lines += ["MOTION", f"Frames: {len(motion)}", f"Frame Time: {1 / motion.fps:.9g}", ""]
     with atomic_write(path) as file:
-        file.write("\n".join(lines).encode())
+        file.write("\n".join(lines).encode("utf-8", "replace"))
         row = " ".join(["%.6f"] * (3 + 3 * len(sequence))) + "\n"
         before = None
         for start in range(0, len(motion), FRAMES_AT_ONCE):

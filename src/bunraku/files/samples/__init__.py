@@ -9,13 +9,16 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bunraku.core.arguments import checked
 from bunraku.errors import OptionError
 
 if TYPE_CHECKING:
     from bunraku.core.character import Character
 
-__all__ = ["sample_character", "sample_file", "sample_names"]
+__all__ = ["sample_character", "sample_file", "sample_files", "sample_names"]
 
+_OTHERS = ("knight.obj", "hero.glb", "avatar.vrm", "walk.bvh", "ten.txt")
+"""What else the docs use: the person as a bare mesh, on the skeletons of Mixamo and of VRM, a walk, ten prompts."""
 _NAMES = ("person", "dancer", "dog", "mushroom", "robot", "dragon")
 
 
@@ -35,6 +38,13 @@ def sample_file(name: str) -> Path:
     return Path(__file__).with_name(f"{name}.glb")
 
 
+def sample_files() -> dict[str, Path]:
+    """All files that `bunraku samples` writes, by their names: those of the characters, and what else the docs use."""
+    found = {name: sample_file(name) for name in _NAMES}
+    return found | {name.partition(".")[0]: Path(__file__).with_name(name) for name in _OTHERS}
+
+
+@checked
 def sample_character(name: str) -> Character:
     """A sample character without a rig, one of `sample_names`: closed parts of 6,000 to 9,000 vertices together, wound
     outward, with one colour a face.

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
 
 from bunraku.core.animation import Animation, RigAnimation
+from bunraku.core.arguments import checked
 from bunraku.core.motion import HandleMotion, MeshMotion, SkeletalMotion
 from bunraku.errors import FormatError, MotionError
 from bunraku.files import load_animation, load_character, load_skeleton_clip, read_motion
@@ -52,6 +54,7 @@ Motion = SkeletalMotion | HandleMotion | Animation | RigAnimation | MeshMotion
 CLIPS = (".glb", ".gltf", ".vrm", ".fbx")
 
 
+@checked
 def load_motion(path: str | Path, *, fps: float = 30.0, clip: int | str = 0) -> Motion:
     """Read a motion from any file that holds one, or a moving mesh from a folder.
 
@@ -65,7 +68,7 @@ def load_motion(path: str | Path, *, fps: float = 30.0, clip: int | str = 0) -> 
         OptionError: There is no such clip.
     """
     path = Path(path)
-    if path.is_dir():
+    if os.path.isdir(path):  # unlike Path.is_dir, no name makes it raise
         return load_mesh_motion(path, fps)
     suffix = path.suffix.lower()
     if suffix == ".npz":

@@ -10,7 +10,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
 
-from bunraku.core.files import atomic_write
+from bunraku.core.files import atomic_write, writing
 from bunraku.core.request import from_json
 from bunraku.errors import FormatError, OptionError
 from bunraku.studio.dressing import WORN, clean_mask, found_mask, has_apparel, paint, painted_file, shown_mask
@@ -190,8 +190,13 @@ def copy(request: Request, body: dict[str, Any]) -> Any:
     old = state.store.get("characters", name)
     record = state.store.new("characters", {**_fresh(f"{old['name']} copy"[:80], ""), "settings": old["settings"]})
     source, target = (state.store.folder_of("characters", key) / "source" for key in (name, record["id"]))
-    shutil.copytree(source, target)
-    return JSONResponse(state.open(record["id"], old["file"]), 202)
+    try:
+        with writing(target, "copy"):
+            shutil.copytree(source, target)
+        return JSONResponse(state.open(record["id"], old["file"]), 202)
+    except BaseException:
+        state.store.drop("characters", record["id"])
+        raise
 
 
 ROUTES = [

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import hmac
 import importlib.util
 import time
@@ -189,11 +188,12 @@ async def about(request: Request) -> Any:
     from bunraku.files import sample_names
 
     state = studio_state(request)
-    usd = ["usdz"] if importlib.util.find_spec("pxr") is not None else []
+    more = [("pxr", ("usdz",)), ("av", ("mp4",)), ("PIL", ("gif",))]
+    found = [name for module, names in more if importlib.util.find_spec(module) is not None for name in names]
     return {
         "version": __version__, "limits": {"bytes": MOST_BYTES, "seconds": 120, "takes": 8},
         "reads": {"characters": CHARACTERS, "motions": MOTIONS, "projects": PROJECTS},
-        "writes": ["glb", "fbx", "bvh", "vrma", "vmd", "npz", *usd], "fps": [FPS.low, FPS.high],
+        "writes": ["glb", "fbx", "bvh", "vrma", "vmd", "npz", *found], "fps": [FPS.low, FPS.high],
         "presets": preset_rows(), "samples": list(sample_names()), "folder": state.store.folder.name,
         "worker": {"warm": state.jobs.warm, "process": state.jobs.process_id}, "event": state.jobs.changes.last,
         "trouble": state.store.trouble, "set_aside": state.store.set_aside,
@@ -203,6 +203,14 @@ async def about(request: Request) -> Any:
     }  # fmt: skip
 
 
+MOST_LOGIN = 4096
+"""Bytes of a request to log in, which anybody may send."""
+MOST_CLIENTS = 1000
+"""Addresses whose wrong passwords are counted."""
+LONGEST_WAIT = 60
+"""Seconds between two passwords from one address, after some wrong ones; the first wait is a second."""
+
+
 @dataclass(frozen=True)
 class _LoginForm:
     password: str = ""
@@ -210,12 +218,20 @@ class _LoginForm:
 
 async def login(request: Request) -> Any:
     """The token, in exchange for the password."""
-    keys = request.app.state.keys
-    given = from_json(_LoginForm, await body_of(request), "the request").password
-    await asyncio.sleep(1)  # too slow to try many passwords
-    if not keys.password or not hmac.compare_digest(given.encode(), keys.password.encode()):
-        return JSONResponse({"error": "this is not the password", "kind": "Refused"}, 401)
-    return {"token": keys.token}
+    keys, tries, now = request.app.state.keys, request.app.state.tries, time.monotonic()
+    given = from_json(_LoginForm, await body_of(request, MOST_LOGIN), "the request").password
+    client = request.client.host if request.client else ""
+    count, free = tries.pop(client, (0, 0.0))
+    if now < free:
+        tries[client] = count, free
+        left = f"that was tried {count} times; wait {free - now:.0f} seconds, then type the password again"
+        return JSONResponse({"error": left, "kind": "Refused"}, 429)
+    if keys.password and hmac.compare_digest(given.encode(), keys.password.encode()):
+        return {"token": keys.token}
+    tries[client] = count + 1, now + min(2.0**count, LONGEST_WAIT)
+    if len(tries) > MOST_CLIENTS:
+        tries.pop(next(iter(tries)))
+    return JSONResponse({"error": "this is not the password", "kind": "Refused"}, 401)
 
 
 @dataclass(frozen=True)

@@ -146,13 +146,13 @@ def ready_character(state: State, name: str) -> dict[str, Any]:
     return record
 
 
-async def body_of(request: Request) -> dict[str, Any]:
-    """The JSON object of a request; OptionError where it is none, or too large."""
+async def body_of(request: Request, most: int = MOST_JSON) -> dict[str, Any]:
+    """The JSON object of a request; OptionError where it is none, or has more bytes than are taken."""
     data = bytearray()
     async for chunk in request.stream():
         data += chunk
-        if len(data) > MOST_JSON:
-            raise OptionError(f"a request of more than {MOST_JSON >> 20} MiB is not taken")
+        if len(data) > most:
+            raise OptionError(f"a request of more than {most >> 10:,} KiB is not taken")
     body = read_json(bytes(data) or b"{}", "the request", MOST_JSON)
     if not isinstance(body, dict):
         raise OptionError("the request is not a JSON object")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
+import functools
+import secrets
 from typing import Any, Literal
 
 from starlette.concurrency import run_in_threadpool
@@ -17,12 +20,14 @@ from bunraku.studio.forms import (
     ClipsForm,
     DressForm,
     ExportForm,
+    LiveForm,
     TakeForm,
     TakeRecordForm,
     read_script,
     script_json,
     sequence_of,
 )
+from bunraku.studio.jobs import OPEN_STATES
 from bunraku.studio.routes.reading import (
     CHARACTERS,
     MOTIONS,
@@ -263,6 +268,26 @@ def _short(sentence: str) -> str:
     return name
 
 
+async def live(request: Request) -> Response:
+    """The next poses of a character that never stops, as `clips.packed_clip`. The headers `x-bunraku-session` and
+    `x-bunraku-first` give the name of the session and the number of the first pose.
+    """
+    state, owner = studio_state(request), request.path_params["name"]
+    ready_character(state, owner)
+    form = from_json(LiveForm, await body_of(request), "the request")
+    session = form.session or secrets.token_hex(8)
+    params = {**to_json(form), "session": session, "character": owner, "begins": not form.session}
+    submit = functools.partial(state.jobs.submit, passing=True, first=True)
+    job = await run_in_threadpool(submit, "live", "live", params)
+    while job["state"] in OPEN_STATES:
+        await asyncio.sleep(0.01)
+    said = state.windows.pop(job["id"], {})
+    if job["state"] != "done":
+        raise OptionError(job["error"] or "the window was cancelled; ask again")
+    headers = {"x-bunraku-session": session, "x-bunraku-first": str(said["first"])}
+    return Response(said["clip"], headers=headers, media_type="application/octet-stream")
+
+
 async def exported(request: Request) -> Response:
     """The file of an export."""
     state, name = studio_state(request), request.path_params["name"]
@@ -277,6 +302,7 @@ ROUTES = [
     ("/characters/{name}/takes", ("GET", "POST"), takes),
     ("/characters/{name}/transfer", ("POST",), transfer),
     ("/characters/{name}/exports", ("POST",), clips),
+    ("/characters/{name}/live", ("POST",), live),
     ("/takes/{name}", ("GET", "PATCH", "DELETE"), take),
     ("/takes/{name}/clip", ("GET",), clip),
     ("/takes/{name}/change", ("POST",), change),

@@ -27,7 +27,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from bunraku import __version__
 from bunraku.errors import BunrakuError
-from bunraku.studio.forms import ChangeForm, CharacterForm, ClipsForm, ExportForm, TakeForm, TakeRecordForm
+from bunraku.studio.forms import ChangeForm, CharacterForm, ClipsForm, ExportForm, LiveForm, TakeForm, TakeRecordForm
 from bunraku.studio.jobs import QueueFull
 from bunraku.studio.routes import characters, general, takes
 from bunraku.studio.routes.reading import TooLarge
@@ -200,6 +200,7 @@ READS: dict[tuple[str, str], type] = {
     ("/characters/{name}", "PATCH"): CharacterForm,
     ("/characters/{name}/takes", "POST"): TakeForm,
     ("/characters/{name}/exports", "POST"): ClipsForm,
+    ("/characters/{name}/live", "POST"): LiveForm,
     ("/takes/{name}", "PATCH"): TakeRecordForm,
     ("/takes/{name}/change", "POST"): ChangeForm,
     ("/takes/{name}/exports", "POST"): ExportForm,
@@ -237,7 +238,7 @@ def studio_app(folder: Path, keys: Keys | None = None, warm: bool = True) -> Sta
         routes=[Mount("/api", routes=routes), *pages], middleware=[Middleware(Guard, keys=keys)], lifespan=lifespan,
         exception_handlers={HTTPException: _no_such_page},
     )  # fmt: skip
-    app.state.studio, app.state.keys = state, keys
+    app.state.studio, app.state.keys, app.state.tries = state, keys, {}
     app.state.openapi = document_of(api, __version__, READS)
     return app
 

@@ -21,7 +21,7 @@ SECONDS = 900.0
 
 def ask(address, method, path, data=None):
     """The bytes that the studio answers with."""
-    base, _, token = address.strip().partition("/#token=")
+    base, _, token = str(address).strip().partition("/#token=")
     if not token or not base.startswith(("http://localhost", "http://127.0.0.1")):
         raise ValueError("copy the whole address that `bunraku studio` printed, with its token")
     asked = urllib.request.Request(f"{base}/api{path}", data=data, method=method)
@@ -90,8 +90,11 @@ class BunrakuAnimate:
 
     def animate(self, model_file, sentence, seconds, seed, format, address):
         """Send the mesh to the studio and keep what it makes in ComfyUI's output folder."""
-        with open(model_file, "rb") as file:
-            data = file.read()
+        try:
+            with open(str(model_file), "rb") as file:
+                data = file.read()
+        except (OSError, ValueError):
+            raise ValueError(f"model_file: there is no file that can be read at '{str(model_file)[:80]}'") from None
         name = urllib.parse.quote(os.path.basename(model_file))
         upload = json.loads(ask(address, "POST", f"/characters?name={name}", data))
         ended(address, upload["job"])

@@ -1,0 +1,64 @@
+"""Arguments of public functions, checked against what their annotations say."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import numbers
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, ParamSpec, TypeVar
+
+from bunraku.errors import OptionError
+
+__all__ = ["checked"]
+
+_Given = ParamSpec("_Given")
+_Result = TypeVar("_Result")
+_KINDS: dict[str, type] = {"float": numbers.Real, "int": numbers.Integral, "Mapping": Mapping, "Iterable": Iterable}
+"""What annotations mean by names that are wider than the class of this name."""
+
+
+def checked(function: Callable[_Given, _Result]) -> Callable[_Given, _Result]:
+    """The function, with an OptionError where an argument is of none of the types that its annotation names.
+
+    Annotations are read as text, so that types need not be imported. What stands in brackets is not looked at.
+    """
+
+    @functools.wraps(function)
+    def call(*args: _Given.args, **kwargs: _Given.kwargs) -> _Result:
+        for name, value in _signature(function).bind(*args, **kwargs).arguments.items():
+            parts = _parts(str(function.__annotations__.get(name, "object")))
+            if not any(_fits(part, value, function.__globals__) for part in parts):
+                shown = repr(value) if isinstance(value, str | int | float | None) else type(value).__name__
+                raise OptionError(f"{name} must be {' or '.join(parts)}, not {shown[:60]}")
+        return function(*args, **kwargs)
+
+    return call
+
+
+@functools.cache
+def _signature(function: Callable[..., object]) -> inspect.Signature:
+    return inspect.signature(function)
+
+
+@functools.cache
+def _parts(annotation: str) -> tuple[str, ...]:
+    """The names of a union, without what stands in brackets: "str | list[str] | None" is str, list and None."""
+    bare, depth = "", 0
+    for letter in annotation:
+        depth += (letter == "[") - (letter == "]")
+        bare += letter if depth == 0 and letter != "]" else ""
+    return tuple(part.strip() for part in bare.split("|"))
+
+
+def _fits(name: str, value: object, known: Mapping[str, Any]) -> bool:
+    if name in ("object", "Any", "None"):
+        return name != "None" or value is None
+    if name == "Sequence":  # a text is one only where the annotation names it
+        return (isinstance(value, Sequence) and not isinstance(value, str)) or hasattr(value, "__array__")
+    if name == "Literal":
+        return isinstance(value, str)
+    kind = _KINDS.get(name, known.get(name))
+    if isinstance(kind, type):
+        return isinstance(value, kind)
+    return kind is not None or any(each.__name__ == name for each in type(value).__mro__)  # a name for other types
