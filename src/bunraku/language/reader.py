@@ -80,13 +80,13 @@ class Frame(NamedTuple):
 
 def dequantised(state: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """All arrays of a checkpoint as float32: those in steps of int8 have the sizes of their steps beside them."""
-    found = {}
+    arrays = {}
     for name in state:
         if not name.endswith(".scale"):
-            found[name] = state[name].astype(np.float32)
+            arrays[name] = state[name].astype(np.float32)
             if state[name].dtype == np.int8:
-                found[name] *= state[f"{name}.scale"]
-    return found
+                arrays[name] *= state[f"{name}.scale"]
+    return arrays
 
 
 @dataclass(frozen=True)
@@ -113,15 +113,15 @@ class Reader:
 
     def layers(self) -> list[PostNorm]:
         """The layers of the encoder, changed."""
-        found = []
+        layers = []
         for index, layer in enumerate(self.encoder.layers):
             changed = {}
             for part in ("query", "key", "value", "leave", "wide", "narrow"):
                 name = f"layers.{index}.{part}"
                 change = self.weights[f"{name}.down"], self.weights[f"{name}.up"]
                 changed[part] = getattr(layer, part)._replace(change=change)
-            found.append(layer._replace(**changed))
-        return found
+            layers.append(layer._replace(**changed))
+        return layers
 
     def run(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """What the heads say.
@@ -161,15 +161,15 @@ class Reader:
         agreed = said & (logits == logits.max())
         sure = sigmoid(factor * logits + by_phrase * said + by_both * agreed + always)
         at = np.arange(len(weight)) @ weight
-        found = []
+        frames = []
         if sure.max() < LIKELIEST:  # actions that mean much the same share what one would have
             sure = sure + said * (np.argsort(np.argsort(-logits)) < 3)
         least = SURE if sure.max() >= SURE else max(sure.max(), LIKELIEST)
         for action in uncovered([self.actions[index] for index in np.flatnonzero(sure >= least)]):
             index = self.actions.index(action)
             shown = action if action in lexicon().actions else self.instead.get(action, "")
-            found.append(Frame(action, shown, min(float(sure[index]), 1.0), float(at[index]), _fields(fields[index])))
-        return sorted(found, key=lambda frame: frame.at)
+            frames.append(Frame(action, shown, min(float(sure[index]), 1.0), float(at[index]), _fields(fields[index])))
+        return sorted(frames, key=lambda frame: frame.at)
 
 
 @lru_cache(maxsize=4096)
@@ -180,16 +180,16 @@ def frames_of(text: str) -> tuple[Frame, ...]:
         text: In English.
     """
     reader, phrased = load_reader(), actions_of(text)
-    found = reader.read(text, phrased)
-    missing = set(phrased) - {frame.action for frame in found}
+    frames = reader.read(text, phrased)
+    missing = set(phrased) - {frame.action for frame in frames}
     for before, piece in _pieces(text) if missing else ():  # beside others, each is less sure
-        alone = [one for one in actions_of(piece) if one in missing]
+        alone = [action for action in actions_of(piece) if action in missing]
         more = [frame for frame in reader.read(piece, alone) if frame.action in alone and frame.probability >= SURE]
-        found += [frame._replace(at=frame.at + before) for frame in more]
-    found.sort(key=lambda frame: frame.at)
-    if {frame.action for frame in found}.issubset(phrased):
-        found.sort(key=lambda frame: phrased.index(frame.action))
-    return tuple({frame.action: frame for frame in found}.values())
+        frames += [frame._replace(at=frame.at + before) for frame in more]
+    frames.sort(key=lambda frame: frame.at)
+    if {frame.action for frame in frames}.issubset(phrased):
+        frames.sort(key=lambda frame: phrased.index(frame.action))
+    return tuple({frame.action: frame for frame in frames}.values())
 
 
 def _pieces(text: str) -> list[tuple[int, str]]:
@@ -212,13 +212,13 @@ def nearest(text: str, count: int = 3) -> tuple[str, ...]:
 
 
 def _fields(said: np.ndarray) -> dict[str, str]:
-    found, start = {}, 0
+    values_said, start = {}, 0
     for name, values in FIELDS.items():
         best = int(said[start : start + 1 + len(values)].argmax())
         if best:
-            found[name] = values[best - 1]
+            values_said[name] = values[best - 1]
         start += 1 + len(values)
-    return found
+    return values_said
 
 
 def _encoder() -> MiniLMEncoder:

@@ -69,9 +69,9 @@ class Layer(nn.Module):
     def __init__(self, given: numpy_layers.PostNorm, rank: int):
         super().__init__()
         self.heads = given.heads
-        self.query, self.key, self.value = (Changed(one, rank) for one in (given.query, given.key, given.value))
-        self.leave, self.wide, self.narrow = (Changed(one, rank) for one in (given.leave, given.wide, given.narrow))
-        self.norms = [(torch.tensor(one.scale), torch.tensor(one.shift)) for one in (given.norm_a, given.norm_b)]
+        self.query, self.key, self.value = (Changed(layer, rank) for layer in (given.query, given.key, given.value))
+        self.leave, self.wide, self.narrow = (Changed(layer, rank) for layer in (given.leave, given.wide, given.narrow))
+        self.norms = [(torch.tensor(layer.scale), torch.tensor(layer.shift)) for layer in (given.norm_a, given.norm_b)]
         self.epsilon = given.norm_a.epsilon
 
     def forward(self, x: Tensor) -> Tensor:
@@ -153,21 +153,21 @@ def batches(sentences: Sequence[Composed], actions: Sequence[str], encoder: Mini
     for sentence in sentences:
         parts = [(encoder.numbers(piece)[1:-1], clause) for piece, clause in sentence.pieces]
         owner = np.array([-2, *(clause for part, clause in parts for _ in part)][: TEXT_LENGTH - 1] + [-2])
-        inner = [one for part, _ in parts for one in part][: TEXT_LENGTH - 2]
+        inner = [piece_number for part, _ in parts for piece_number in part][: TEXT_LENGTH - 2]
         by_length.setdefault(len(owner), []).append(([first, *inner, last], owner, sentence))
-    found = []
+    made = []
     for alike in by_length.values():
         for start in range(0, len(alike), size):
             rows, said = alike[start : start + size], []
             for row, (_, owner, sentence) in enumerate(rows):
                 for action, clause, fields in sentence.said:
-                    own = np.flatnonzero((owner == clause) & (clause >= 0))
-                    span = (own[0], own[-1] + 1) if len(own) else (0, 0)
+                    tokens = np.flatnonzero((owner == clause) & (clause >= 0))
+                    span = (tokens[0], tokens[-1] + 1) if len(tokens) else (0, 0)
                     said.append((row, number[action], *span, *fields.values()))
             x = torch.from_numpy(np.stack([encoder.embedded(numbers) for numbers, _, _ in rows]))
             labels = torch.tensor(said, dtype=torch.int64).reshape(-1, 4 + len(FIELDS))
-            found.append(Batch(x, labels, tuple(sentence.text for _, _, sentence in rows)))
-    return found
+            made.append(Batch(x, labels, tuple(sentence.text for _, _, sentence in rows)))
+    return made
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -246,12 +246,12 @@ class ReaderTrainer(AveragedRun[ReaderNetwork]):
         said, count = batch.said, len(batch.x)
         row, action = said[:, 0], said[:, 1]
         named = F.binary_cross_entropy_with_logits(logits, _target(logits, said), reduction="sum") / count
-        own = weight[row, :, action]
-        at = torch.arange(own.shape[1])[None]
+        attention = weight[row, :, action]
+        at = torch.arange(attention.shape[1])[None]
         inside = (at >= said[:, 2:3]) & (at < said[:, 3:4])
         spans = inside.any(1)
-        attended = -((own * inside).sum(1)[spans] + 1e-6).log().sum() / count
-        values = model.fields(torch.einsum("nl,nlc->nc", own, hidden[row]))
+        attended = -((attention * inside).sum(1)[spans] + 1e-6).log().sum() / count
+        values = model.fields(torch.einsum("nl,nlc->nc", attention, hidden[row]))
         fields, start = logits.new_zeros(()), 0
         for index, options in enumerate(FIELDS.values()):
             part = values[:, start : start + 1 + len(options)]
@@ -264,7 +264,7 @@ class ReaderTrainer(AveragedRun[ReaderNetwork]):
         """What the averaged network says of the held-out sentences before the logistic function, and what is true."""
         self.average.eval()
         logits = [self.average(batch.x)[0] for batch in self.held_out]
-        truth = [_target(some, batch.said) for some, batch in zip(logits, self.held_out, strict=True)]
+        truth = [_target(said, batch.said) for said, batch in zip(logits, self.held_out, strict=True)]
         return torch.cat(logits), torch.cat(truth)
 
     def validate(self) -> dict[str, float]:
@@ -286,7 +286,7 @@ class ReaderTrainer(AveragedRun[ReaderNetwork]):
         """
         logits, truth = self.scored()
         texts = [text for batch in self.held_out for text in batch.texts]
-        phrased = torch.tensor([[one in said for one in self.actions] for said in map(actions_of, texts)])
+        phrased = torch.tensor([[action in said for action in self.actions] for said in map(actions_of, texts)])
         agreed = phrased & (logits == logits.max(1, keepdim=True).values)
         shares = torch.tensor([1.0, 0.0, 0.0, 0.0], requires_grad=True)
         search = torch.optim.LBFGS([shares], max_iter=100)
@@ -294,12 +294,12 @@ class ReaderTrainer(AveragedRun[ReaderNetwork]):
         def loss() -> Tensor:
             search.zero_grad()
             said = shares[0] * logits + shares[1] * phrased + shares[2] * agreed + shares[3]
-            found = F.binary_cross_entropy_with_logits(said, truth)
-            found.backward()  # type: ignore[no-untyped-call]
-            return found
+            value = F.binary_cross_entropy_with_logits(said, truth)
+            value.backward()  # type: ignore[no-untyped-call]
+            return value
 
         search.step(loss)  # type: ignore[no-untyped-call, arg-type]
-        return [round(float(one), 4) for one in shares.detach()]
+        return [round(float(share), 4) for share in shares.detach()]
 
     def write(self, note: TrainingNote) -> Path:
         """Write the checkpoint as it is read, unless an earlier one is better."""
@@ -327,17 +327,17 @@ def train_reader(config: ReaderTrainConfig, report: Callable[[dict[str, float]],
     """
     config.prepare()
     phrases = phrases_of(config.phrases)
-    actions = [one for one in phrases if one != NOTHING]
+    actions = [action for action in phrases if action != NOTHING]
     if not actions:
         raise OptionError("no phrase names an action; give files of actions and phrases")
     composers = {}
     for split in ("train", "val"):
-        own = {
+        own_phrases = {
             action: chosen
-            for action, some in phrases.items()
-            if (chosen := [one for one in some if (drawn(one) < HELD_OUT) == (split == "val")])
+            for action, listed in phrases.items()
+            if (chosen := [phrase for phrase in listed if (drawn(phrase) < HELD_OUT) == (split == "val")])
         }
-        weak = [one for one in weak_sentences(config.data, split) if set(one[1]) <= set(actions)]
-        composers[split] = Composer(own, weak, config.seed * 1000)
+        weak = [phrase for phrase in weak_sentences(config.data, split) if set(phrase[1]) <= set(actions)]
+        composers[split] = Composer(own_phrases, weak, config.seed * 1000)
     held_out = [composers["val"].sentence() for _ in range(config.held_out)]
     return ReaderTrainer(config, actions, composers["train"], held_out).learn(report)
