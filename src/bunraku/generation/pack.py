@@ -180,6 +180,13 @@ class ExamplePack:
     def _standing_well(self) -> Sequence[int]:
         return stand_well(self) if self.stored_standing is None else self.stored_standing
 
+    @functools.cached_property
+    def actions(self) -> list[frozenset[str]]:
+        """What the sentences of each example agree on."""
+        if not self.stored:
+            return [self.said(index).actions for index in range(len(self.examples))]
+        return [frozenset(row[0].split(_AND)) - {""} for row in self.stored]
+
     def said(self, index: int) -> Said:
         """What the sentences of an example say."""
         if not self.stored:

@@ -139,7 +139,7 @@ def _retrieved(pack: ExamplePack, clause: Clause, vector: np.ndarray, let_go: fr
     lacking: dict[str, None] = {}
     sided = any(cue.startswith(("left", "right")) for cue in query.cues)
     least = WALKING if query.actions <= {"walk", "run"} else LEAST
-    found = []
+    found, actions = [], pack.actions
     for mirrored in (False, True):
         cosines = pack.texts[int(mirrored)].astype(float) @ vector
         best = np.full(len(pack.examples), -1.0)
@@ -153,7 +153,9 @@ def _retrieved(pack: ExamplePack, clause: Clause, vector: np.ndarray, let_go: fr
                 continue
             near = 0.0 if made and query.actions != _NOTHING else float(best[index])
             shown = wanted - _ADDED if made else wanted | counts
-            if not _fits(pack.said(index), mirrored, query, shown, near):
+            if near < SAME and actions[index] != query.actions:
+                continue
+            if not _fits(pack.said(index), mirrored, query, shown):
                 continue
             if times > 1 and (made or pack.said(index).cues & _COUNTS or pack.examples[index].loop is not None):
                 continue
@@ -216,9 +218,7 @@ def _shown(query: Said) -> frozenset[str]:
     return (query.cues & _SIDED) - idle - (frozenset[str]() if query.actions & _TURNS else {"half", "full"})
 
 
-def _fits(said: Said, mirrored: bool, query: Said, wanted: frozenset[str], near: float) -> bool:
-    if near < SAME and said.actions != query.actions:
-        return False
+def _fits(said: Said, mirrored: bool, query: Said, wanted: frozenset[str]) -> bool:
     shown, cues = said.traits, said.mirrored_cues if mirrored else said.cues
     for pair in lexicon().contrary:
         wanted_one, said_one = (pair & (names.cues | names.traits) for names in (query, said._replace(cues=cues)))
