@@ -39,8 +39,10 @@ POOL = 4096
 """Sentences that are composed at a time, and sorted into batches of one length each."""
 DROPPED = 0.1
 """Share of hidden states that are left out in training (Srivastava et al. 2014), as in BERT."""
-STEPS = 127
-"""The largest number that int8 has on both sides of zero."""
+STEPS = 31
+"""Steps of a weight on either side of zero. A wheel packs them into 0.64 MB, and 127 into 0.93; what the heads say
+changes by 0.06 in the mean, where it spans some 15.
+"""
 
 
 class Changed(nn.Module):
@@ -112,9 +114,9 @@ class ReaderNetwork(nn.Module):
         return (weight * self.value(x)).sum(1), weight, x
 
 
-def quantised(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A matrix in steps, int8, and the size of the steps of each column, float32."""
-    scale = np.maximum(np.abs(matrix).max(0), 1e-12) / STEPS
+def quantised(matrix: np.ndarray, axis: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """A matrix in steps, int8, and the size of the steps, float32, the same along an axis."""
+    scale = np.maximum(np.abs(matrix).max(axis, keepdims=True), 1e-12) / STEPS
     return np.round(matrix / scale).astype(np.int8), scale.astype(np.float32)
 
 
@@ -124,7 +126,7 @@ def packed(network: ReaderNetwork) -> dict[str, np.ndarray]:
     for name, value in network.state_dict().items():
         array = value.detach().numpy()
         if array.ndim == 2:
-            state[name], state[f"{name}.scale"] = quantised(array.T)
+            state[name], state[f"{name}.scale"] = quantised(array.T, int(name.endswith(".up")))
         else:
             state[name] = array
     return state
