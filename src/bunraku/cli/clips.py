@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from bunraku.cli.manifest import check_free, exclusive_output
-from bunraku.cli.options import StandingOptions
+from bunraku.cli.options import WhichOptions
 from bunraku.cli.outputs import (
     OutputOption,
     PreviewOption,
@@ -65,7 +65,7 @@ class Clips:
     """Replace files that are there already and that Bunraku did not write."""
     preview: PreviewOption = ()
     """Also make a video (.mp4, .webp, .gif) or a contact sheet (.png). May be given more than once."""
-    standing: tyro.conf.OmitArgPrefixes[StandingOptions] = field(default_factory=StandingOptions)
+    standing: tyro.conf.OmitArgPrefixes[WhichOptions] = field(default_factory=WhichOptions)
     """How the character's file is read."""
 
     def run(self) -> None:

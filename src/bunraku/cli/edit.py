@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from bunraku.cli.manifest import exclusive_output
-from bunraku.cli.options import EditSamplingOptions, GeneratingOptions, PinOption, parse_pin
+from bunraku.cli.options import EditSamplingOptions, GeneratingOptions, PinOption, WhichOptions, parse_pin
 from bunraku.cli.outputs import (
     OutputOption,
     check_input,
@@ -46,6 +46,8 @@ class Edit(GeneratingOptions):
 
     sampling: tyro.conf.OmitArgPrefixes[EditSamplingOptions] = field(default_factory=EditSamplingOptions, kw_only=True)
     """How the motion is drawn."""
+    standing: tyro.conf.OmitArgPrefixes[WhichOptions] = field(default_factory=WhichOptions, kw_only=True)
+    """How the character's file is read."""
     clip: tyro.conf.Positional[Path]
     """The clip, .glb or .npz, as Bunraku wrote it."""
     prompt: tyro.conf.Positional[str]

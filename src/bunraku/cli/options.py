@@ -25,8 +25,9 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ApparelOptions", "AxisOption", "DirectingOptions", "EditSamplingOptions", "FeelOption", "GeneratingOptions",
-    "PinOption", "ProgramOption", "SamplingOptions", "SkeletonOption", "StandingOptions", "UnitOption", "check_axes",
-    "parse_jobs", "parse_path", "parse_pin", "resolve_file", "said_axes", "stand_up", "stands_line",
+    "WhichOptions", "PinOption", "ProgramOption", "SamplingOptions", "SkeletonOption", "StandingOptions",
+    "UnitOption", "check_axes", "parse_jobs", "parse_path", "parse_pin", "resolve_file", "said_axes", "stand_up",
+    "stands_line",
 ]  # fmt: skip
 
 
@@ -107,14 +108,26 @@ class StandingOptions:
 
     def load(self, path: Path, clips: float | None = None) -> Character:
         """The character of a file, upright and in metres, with its clips where a rate [1/s] is given."""
-        from bunraku.anatomy.scene import separated
         from bunraku.files import load_character
 
-        standing = stand_up(load_character(path, unit="m", clips=clips), path, self.up, self.front, self.unit)
-        character, lines = separated(standing, self.character)
+        return self.stood(load_character(path, unit="m", clips=clips), path)
+
+    def stood(self, given: Character, path: Path) -> Character:
+        """A character as its file has it, upright and in metres, or the one that is chosen of several."""
+        from bunraku.anatomy.scene import separated
+
+        character, lines = separated(stand_up(given, path, self.up, self.front, self.unit), self.character)
         for line in lines:
             print(f"{path}: {line}", file=sys.stderr)
         return character
+
+
+@dataclass(frozen=True)
+class WhichOptions(StandingOptions):
+    """`StandingOptions` of commands whose --character is a file."""
+
+    character: Annotated[int | None, tyro.conf.arg(name="which", metavar="N")] = None
+    """Which character of a file with several moves, counted from 1, the largest."""
 
 
 def resolve_file(character: Character, up: str = "auto", front: str = "auto") -> tuple[ResolvedAxes, str]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from bunraku.cli.manifest import check_free, exclusive_output
-from bunraku.cli.options import StandingOptions
+from bunraku.cli.options import WhichOptions
 from bunraku.cli.outputs import PREVIEWS, check_input, check_output, check_range, stages, written_files
 from bunraku.core.request import FPS, Progress
 from bunraku.errors import FormatError, OptionError
@@ -48,7 +48,7 @@ class Render:
     """The character's own colours, or one for each handle or joint."""
     overwrite: bool = False
     """Replace a file that is there already and that Bunraku did not write."""
-    standing: tyro.conf.OmitArgPrefixes[StandingOptions] = field(default_factory=StandingOptions)
+    standing: tyro.conf.OmitArgPrefixes[WhichOptions] = field(default_factory=WhichOptions)
     """How the file of a character without a clip is read, or that of --character."""
 
     def run(self) -> None:

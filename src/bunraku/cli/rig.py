@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from bunraku.cli.manifest import check_free, exclusive_output
-from bunraku.cli.options import FeelOption, SkeletonOption, StandingOptions, stand_up
+from bunraku.cli.options import FeelOption, SkeletonOption, StandingOptions
 from bunraku.cli.outputs import OutputOption, check_different, check_input, check_output, stages, written_files
 from bunraku.core.request import GRAVITY, STIFFNESS
 from bunraku.errors import BunrakuError, OptionError
@@ -152,7 +152,7 @@ class Rig:
         with stages() as report:
             report("load", 0.0)
             given = load_character(self.character, unit="m")
-            character = stand_up(given, self.character, **vars(self.standing))
+            character = self.standing.stood(given, self.character)
             report("load", 1.0)
 
             from bunraku.anatomy.anatomy import Anatomy
