@@ -344,12 +344,12 @@ def columns(matrices):
     return np.array([m.T.reshape(-1) for m in matrices], np.float32)
 
 
-def arm_glb(space, *, second=None, bent=40.0, turned=0.0, tilted=0.0, bones=(1.0, 1.0), clip=True):
+def arm_glb(space, *, second=None, bent=40.0, turned=0.0, tilted=0.0, raised=0.0, bones=(1.0, 1.0), clip=True):
     """An arm of two bones below an armature (scaled, turned, moved), bent in the default pose, with a box in its hand.
 
     `space` is the transform from the space of the inverse bind matrices to the world; `second` adds a mesh with a skin
     of its own whose matrices are those of the first times this, `turned` turns the upper bone about its length, and
-    `tilted` all about its head.
+    `tilted` all about its head; `raised` lifts its head.
     """
     maker = Maker()
     armature = matrix((1, 2, 3), "y", 90, 0.5)
@@ -383,6 +383,7 @@ def arm_glb(space, *, second=None, bent=40.0, turned=0.0, tilted=0.0, bones=(1.0
         {
             "name": "upper",
             "children": [2],
+            "translation": [0, raised, 0],
             "rotation": (
                 Rotation.from_euler("z", bent + tilted, degrees=True) * Rotation.from_euler("y", turned, degrees=True)
             )
@@ -455,6 +456,12 @@ def test_a_skeleton_rests_as_viewers_draw_it(write, how, axis):
     arm = load_character(write(arm_glb(ARMATURE, bent=0.0, **how)))
     about, turn = ARMATURE[:3, 3], matrix(axis=axis, degrees=next(iter(how.values())))[:3, :3]
     assert np.allclose(arm.vertices[8:], (STRAIGHT - about) @ turn.T + about, atol=1e-5)
+
+
+def test_a_skeleton_rests_at_the_height_at_which_viewers_draw_it(write):
+    """New clips stand on the ground of the file's own, where only the clips' keys of the root lift it."""
+    arm = load_character(write(arm_glb(ARMATURE, raised=3.0)))
+    assert np.allclose(arm.vertices[8:], STRAIGHT + [0, 1.5, 0], atol=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -302,10 +302,13 @@ def _placement(
     return _facing(best, best @ bind, target, root)
 
 
+SUNK = 0.25  # a body whose lowest joint is so far from where viewers draw it, over its height, stands elsewhere
+
+
 def _facing(placement: np.ndarray, placed: np.ndarray, target: np.ndarray, root: int) -> np.ndarray:
     """The placement rotated by quarter circles about its root joint, to stand up and face as the default pose does,
-    which is what viewers draw, shape (4, 4). The mean rotation of all joints decides: clips rotate single limbs any
-    way, but all joints one way only with the whole body.
+    which is what viewers draw, shape (4, 4), and moved up or down where its root alone is elsewhere by far. The mean
+    rotation of all joints decides: clips rotate single limbs any way, but all joints one way only with the whole body.
     """
     ours, want = (
         points[:, :3, :3] / np.cbrt(np.abs(np.linalg.det(points[:, :3, :3])) + 1e-30)[:, None, None]
@@ -317,6 +320,10 @@ def _facing(placement: np.ndarray, placed: np.ndarray, target: np.ndarray, root:
         (upright_rotation(*axes) for axes in ORIENTATIONS), key=lambda some: float((some * change).sum())
     )
     turn[:3, 3] = placed[root, :3, 3] - turn[:3, :3] @ placed[root, :3, 3]
+    heights, wanted = ((turn @ placed)[:, 1, 3], target[:, 1, 3])
+    below, shift = wanted.min() - heights.min(), wanted[root] - heights[root]
+    if abs(below) > SUNK * max(float(np.ptp(heights)), float(np.ptp(wanted))) and abs(below - shift) < 0.5 * abs(below):
+        turn[1, 3] += shift
     return turn @ placement
 
 
