@@ -414,7 +414,7 @@ def save(
         MotionError: The motion has fewer handles than the reference body, or its skeleton is no humanoid.
         OptionError: The format has no such option, its value makes no sense, or the motion has no frame.
     """
-    if isinstance(thing, Animation) and _suffix_of(Path(path), "animation") not in _OF_PARTS:
+    if isinstance(thing, Animation) and Path(path).suffix.lower() not in _OF_PARTS:
         from bunraku.files.gltf.write_rig import with_still
 
         thing = with_still(thing)
