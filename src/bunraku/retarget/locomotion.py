@@ -76,7 +76,8 @@ WAVE = {"swim": 1.2, "slither": 0.9}  # waves in a second
 BENT = {"swim": 0.45, "slither": 0.7}  # how far the tip of a tail turns aside [rad]
 BENDS = 0.3  # a tail that swings through less than this does not bend [rad]
 SPEED = {"swim": 0.5, "slither": 0.3}  # lengths of the body in a second
-LASTS = 1.0  # what changes more slowly than this is how a body is held in the water, and no swing [s]
+LASTS = 1.0
+"""What changes more slowly than this is how a body is held in the water, and no swing [s]. Chosen by eye."""
 STAYS = 0.25  # a motion that gets ahead by less than this share of that is given the speed
 AIR = {"stay": 0.75, "run": 0.2, "step": 0.15, "lie": 0.05, "slither": 0.05}
 """How long before and after a frame the ground is touched at the latest [s]; a step always has a foot on it."""
