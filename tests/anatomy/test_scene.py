@@ -75,6 +75,7 @@ def test_one_of_two_characters_moves(tmp_path):
     first, second = (separated(both, number) for number in (1, 2))
     assert "2 characters" in first[1][0] and "--character" in first[1][0]
     assert (first[0].beside != second[0].beside).all() and separated(first[0])[0] is first[0]
+    assert separated(both, 2)[0] is second[0] and separated(body)[0] is body  # so clips go into one file
     with pytest.raises(OptionError, match="no character 3"):
         separated(both, 3)
     handles = Handles(both.vertices[:2], np.eye(1, 2).repeat(len(both.vertices), axis=0))

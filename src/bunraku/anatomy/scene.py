@@ -109,11 +109,22 @@ def separated(character: Character, number: int | None = None) -> tuple[Characte
     """
     if number is None and (character.rig is not None or character.beside is not None):
         return character, []
+    answers = character.__dict__.setdefault("_separated", {})  # clips of one character have one object for it
+    if number not in answers:
+        answers[number] = _separated(character, number)
+    other, lines = answers[number]
+    return other or character, lines
+
+
+def _separated(character: Character, number: int | None) -> tuple[Character | None, list[str]]:
+    """What `separated` gives; None for the character itself."""
     scene = find_scene(character)
     count = len(scene.characters)
     if number is not None and not 1 <= number <= count:
         raise OptionError(f"{character.name}: there is no character {number} in this file; it has {count}")
     beside, lines = character.surface & ~scene.characters[(number or 1) - 1], scene.lines
+    if not beside.any():
+        return None, []
     if count > 1:
         lines[0] += f"; number {number or 1} moves, choose another with --character"
     return replace(character, beside=beside), lines

@@ -13,6 +13,7 @@ import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.handles.orientation import resolve_axes
+from bunraku.anatomy.scene import separated
 from bunraku.core.animation import RigAnimation
 from bunraku.core.character import Character, Handles
 from bunraku.core.files import atomic_write
@@ -72,7 +73,7 @@ def opened_character(path: Path, settings: Settings) -> tuple[Character, dict[st
     standing = rotated(character, orientation.up, orientation.front)
     suffix = str(getattr(standing.source, "suffix", ""))
     unit = resolve_unit(standing.height, suffix, settings.unit)
-    character, _ = in_metres(standing, settings.unit, "+y")
+    character, _ = separated(in_metres(standing, settings.unit, "+y")[0])
     other = None if orientation.other is None else list(orientation.other)
     axes = {"up": orientation.up, "front": orientation.front, "sure": round(orientation.sure, 3), "other": other}
     return character, {"axes": axes, "unit": {"unit": unit.unit, "likely": unit.likely, "note": unit.note}}
