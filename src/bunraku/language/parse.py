@@ -86,14 +86,14 @@ def _notes(clauses: Sequence[Clause], texts: Sequence[str]) -> Iterator[str]:
 
     done = set()
     for clause in clauses:
-        frames = [frame for one in (clause, *clause.voices, *clause.parts) for frame in one.frames]
+        frames = [frame for told in clause.parts or (clause, *clause.voices) for frame in told.frames]
         done |= {frame.action for frame in frames} | set(clause.actions)
         for frame in frames:
             if not frame.shown:
                 yield f"'{frame.action}' is not known, and nothing like it"
             elif frame.shown != frame.action:
                 yield f"'{frame.action}' is not known; shown by what is nearest: {frame.shown}"
-        if not frames and clause.detail is None:
+        if not frames and clause.detail is None and not clause.locomotion:
             yield f"nothing known is named in '{clause.text}'; its motion is a guess"
     for text in texts if len(clauses) > 1 else ():
         for frame in frames_of(text):
