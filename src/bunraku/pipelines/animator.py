@@ -35,7 +35,7 @@ from bunraku.retarget.stages import Stages
 if TYPE_CHECKING:
     from bunraku.retarget.rig_parts import RigParts
 
-__all__ = ["AT_ONCE", "Animator", "Body", "alike", "cell_progress", "own_rig"]
+__all__ = ["AT_ONCE", "Animator", "Body", "alike", "cell_progress", "left_out", "own_rig"]
 
 
 LEAST = 0.1
@@ -449,13 +449,19 @@ def _written_handles(character: Character) -> Handles | None:
 
 def _note_rig(character: Character, handles: Handles, request: Request) -> None:
     """Log that handles move a character, although it has a rig or clips, and what is left out for it."""
+    left = left_out(character)
+    if left and request.rig == "auto" and not request.handles_given:
+        why = "its clips move nodes without a skin" if character.rig is None else _not_understood(character)
+        _log.warning("%s: %s; %d handles move it, without %s", character.name, why, len(handles.positions), left)
+
+
+def left_out(character: Character) -> str:
+    """What of a file is left out where handles move its character, in words; "" for nothing."""
     document = getattr(character.source, "document", None)
     clips = 0 if document is None else len(document.items("animations"))
-    if (character.rig is None and not clips) or request.rig != "auto" or request.handles_given:
-        return
-    why = "its clips move nodes without a skin" if character.rig is None else _not_understood(character)
-    left = " and ".join(["its bones"] * (character.rig is not None) + [f"its {clips} clips"] * (clips > 0))
-    _log.warning("%s: %s; %d handles move it, without %s", character.name, why, len(handles.positions), left)
+    return " and ".join(
+        ["its bones"] * (character.rig is not None) + [f"its {clips} clip{'s'[: clips - 1]}"] * (clips > 0)
+    )
 
 
 def _not_understood(character: Character) -> str:

@@ -7,6 +7,7 @@ the character (TapMo, section 3.2) or to its own rig. Motion of other bodies goe
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -24,7 +25,7 @@ from bunraku.core.request import Progress
 from bunraku.errors import CharacterError
 from bunraku.files import bones_of
 from bunraku.pipelines.animate import opened
-from bunraku.pipelines.animator import Animator
+from bunraku.pipelines.animator import Animator, left_out
 from bunraku.pipelines.motions.read import Motion, load_motion
 from bunraku.pipelines.requests import RATE, Apparel, TransferRequest
 from bunraku.pipelines.to_reference import creature_motion, reference_motion
@@ -38,6 +39,7 @@ __all__ = [
     "TRANSFER_STAGES", "Source", "fitted_transfer", "played_by_mmd", "same_skeleton", "transfer",
     "transferred",
 ]  # fmt: skip
+_log = logging.getLogger(__name__)
 TRANSFER_STAGES = Stages(hands=True, shape=True)
 """The stages that run by default: those of fitting, hands that touch the body stay near it, and the mesh keeps its
 shape.
@@ -183,6 +185,11 @@ def fitted_transfer(
         result = fit(reference, parts, stages)  # type: ignore[arg-type]  # each gets its own kind
     else:
         anatomy = Anatomy.of(character, animator.handles(character, request.handles)).measured()
+        left = left_out(character)
+        if left and request.onto == "auto" and not isinstance(request.handles, Handles):
+            _log.warning(
+                "%s: handles move it, without %s; to move its bones, transfer onto its rig", character.name, left
+            )
         if isinstance(reference, HandleMotion):
             result = Animation(character, anatomy.handles, fit_motion(reference, anatomy, stages), reference)
         else:
