@@ -55,7 +55,7 @@ def _fits(name: str, value: object, known: Mapping[str, Any]) -> bool:
     if name in ("object", "Any", "None"):
         return name != "None" or value is None
     if name == "Sequence":  # a text is one only where the annotation names it
-        return (isinstance(value, Sequence) and not isinstance(value, str)) or hasattr(value, "__array__")
+        return (isinstance(value, Sequence) and not isinstance(value, str)) or getattr(value, "ndim", 0) > 0
     if name == "Literal":
         return isinstance(value, str)
     kind = _KINDS.get(name, known.get(name))

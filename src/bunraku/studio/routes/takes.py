@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import functools
 import secrets
+import time
 from typing import Any, Literal
 
 from starlette.concurrency import run_in_threadpool
@@ -42,6 +43,8 @@ from bunraku.studio.state import State
 
 __all__ = ["ROUTES"]
 
+PATIENCE = 30
+"""Seconds that a live character waits for other jobs."""
 MOST_NAME = 40
 """Letters of a sentence in a file's name."""
 
@@ -279,7 +282,11 @@ async def live(request: Request) -> Response:
     params = {**to_json(form), "session": session, "character": owner, "begins": not form.session}
     submit = functools.partial(state.jobs.submit, passing=True, first=True)
     job = await run_in_threadpool(submit, "live", "live", params)
+    end = time.monotonic() + PATIENCE
     while job["state"] in OPEN_STATES:
+        if time.monotonic() > end:
+            await run_in_threadpool(state.jobs.cancel, job["id"])
+            raise OptionError("something else is being made, so the character has to wait; ask again when that is done")
         await asyncio.sleep(0.01)
     said = state.windows.pop(job["id"], {})
     if job["state"] != "done":
