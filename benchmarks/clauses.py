@@ -35,13 +35,13 @@ def main() -> None:
     from bunraku.generation.extractor import embed_motions, embed_sentences, load_extractor
     from bunraku.generation.features import encode
     from bunraku.generation.generate import generate_motions
-    from bunraku.generation.networks import load_generator
+    from bunraku.generation.networks import Networks
     from bunraku.language.parse import clauses_of, parse
     from bunraku_lab.nn.checkpoints import lab_checkpoint
 
     extractor = load_extractor(lab_checkpoint("extractor"))
     sentences = [f"a person {action}" for action in ACTIONS]
-    known = embed_sentences(extractor, load_generator()[1], sentences)
+    known = embed_sentences(extractor, Networks().encoder, sentences)
     table = np.stack([known[sentence] for sentence in sentences])
     random = np.random.default_rng(args.seed)
     pairs = [random.choice(len(ACTIONS), 2, replace=False) for _ in range(args.pairs)]

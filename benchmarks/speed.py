@@ -93,10 +93,10 @@ def sampling_step() -> tuple[float, float]:
 
     from bunraku.core.nn.layers import one_thread
     from bunraku.generation.layers import Condition
-    from bunraku.generation.networks import load_generator
+    from bunraku.generation.networks import Networks
     from bunraku.generation.sampler import row_noise
 
-    model, encoder = load_generator()
+    model, encoder = Networks().denoiser, Networks().encoder
     text = encoder.encode(["a person walks forward"])
     x = row_noise(FRAMES, model.config.features, 0)[None]
 

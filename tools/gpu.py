@@ -34,7 +34,7 @@ from bunraku.errors import FormatError, OptionError  # noqa: E402
 BUNDLE, WEIGHTS, LOG = "bundle.safetensors", "diffusion.safetensors", "log.csv"
 WEIGHT_FILES = Path("bunraku") / "weights"
 TEXT = WEIGHT_FILES / "text.safetensors"
-ALONG = {TEXT, *(WEIGHT_FILES / name for name in ("ranker.safetensors", "examples.safetensors", "examples.json"))}
+ALONG = {TEXT, *(WEIGHT_FILES / name for name in ("ranker.safetensors", "examples.safetensors"))}
 """Weights that go along: those that rows are told by."""
 LARGEST = 1 << 18
 """Of a file beside the code that goes along [bytes]; the page, the samples and all weights but a few stay."""

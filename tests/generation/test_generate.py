@@ -136,7 +136,7 @@ def test_progress_and_threads(make):
 @pytest.mark.skipif(not shipped_checkpoint("diffusion").is_file(), reason="the shipped weights are not there")
 def test_the_networks_run_without_torch():
     code = (
-        "import sys; from bunraku.generation.networks import load_generator; load_generator(); "
+        "import sys; from bunraku.generation.networks import Networks; Networks().denoiser; "
         "from bunraku.generation.generate import generate_motion; "
         "generate_motion('a person walks', 1, steps=2, candidates=2); "
         "assert 'torch' not in sys.modules"

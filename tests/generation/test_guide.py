@@ -15,7 +15,6 @@ from bunraku.generation.guide import (
     goes_on,
     laid,
     laid_script,
-    liveliest,
     repeated,
     timed,
     warped,
@@ -73,6 +72,9 @@ def test_what_is_not_to_turn_is_straightened(pack):
     straight = unturned(turning, 20.0)
     assert straight[:, 0].sum() / 20 == pytest.approx(np.radians(20))
     assert np.abs(straight[30:, 0]).max() < 0.05 and np.array_equal(straight[:, 1:], turning[:, 1:])
+    jerk = np.zeros((5, 271), np.float32)
+    jerk[:, 0] = 0, 0, 0, 30, -6  # its mean over time goes the other way
+    assert unturned(jerk, 20.0)[:, 0].sum() / 20 == pytest.approx(np.radians(20))
 
 
 def test_around_what_stops_in_midmotion_the_sampler_is_left_to_itself(pack, units):
@@ -109,14 +111,6 @@ def test_what_is_done_once_is_sped_up_a_little_but_never_cut(pack, units):
     np.testing.assert_allclose(short[[0, -1], 3:], pack.features(1)[[0, -1], 3:], atol=1e-4)
     assert fits_into(pack, KICK, 25) and not fits_into(pack, KICK, 20)
     assert fits_into(pack, WAVE, 5)
-
-
-def test_of_what_is_much_too_long_the_liveliest_part_is_taken(pack, units):
-    kick = pack.features(1)
-    long = np.concatenate([np.repeat(kick[:1], 40, axis=0), kick, np.repeat(kick[-1:], 40, axis=0)])
-    part = liveliest(long, 30, units)
-    assert len(part) == 30 and np.ptp(part[:, 3:], axis=0).max() == np.ptp(kick[:, 3:], axis=0).max()
-    assert liveliest(kick, 30, units) is kick
 
 
 def test_who_hurries_gets_as_far():
@@ -228,7 +222,8 @@ def test_half_a_movement_is_not_played_on_and_a_whole_one_from_its_first_frame(p
     whole = _cut(pack, back + 1, (high, high - 4))
     assert goes_on(whole, WAVE)
     long = lay(whole, units, WAVE, 3 * back)
-    np.testing.assert_allclose(long[:back, 3:], long[back : 2 * back, 3:], atol=0.05)
+    rounds = range(round(0.9 * back), round(1.15 * back))  # its tempo is drawn
+    assert min(np.abs(long[:back, 3:] - long[at : at + back, 3:]).max() for at in rounds) < 0.1
     assert np.ptp(long[:, 3:], axis=0).max() > 0.9 * np.ptp(wave[:, 3:], axis=0).max()
 
 
@@ -281,10 +276,10 @@ def test_a_gesture_made_by_code_is_told_apart_and_joined_to_standing_of_its_kind
     both = laid_script(made, [(None, 20), (KICK, 60)], 80, units, np.random.default_rng(0))
     assert not both.made[:20].any() and both.made[20:].all()
     examples = GuidanceExamples(made, {"kicks": (clause_of("a person kicks with the right leg"), np.eye(4)[1])})
-    assert examples.shows(clause_of("kicks")) and examples.unranked([(clause_of("kicks"), 40)])
+    assert examples.shows(clause_of("kicks")) and examples.led_by([(clause_of("kicks"), 40)])
     captured = GuidanceExamples(pack, {"kicks": (clause_of("a person kicks with the right leg"), np.eye(4)[1])})
-    assert not captured.unranked([(clause_of("kicks"), 40)])
-    assert not examples.shows(clause_of("sings")) and not examples.unranked([(clause_of("sings"), 40)])
+    assert captured.led_by([(clause_of("kicks"), 40)])
+    assert not examples.shows(clause_of("sings")) and not examples.led_by([(clause_of("sings"), 40)])
 
 
 def test_a_loop_has_whole_cycles_that_close_and_none_of_what_is_done_once(pack, units):

@@ -5,10 +5,11 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from bunraku.core.geometry.curves import gaussian
 from bunraku.core.nn.checkpoints import load_checkpoint, save_checkpoint
 from bunraku.core.nn.layers import unit
 from bunraku.generation.candidates import SamplingSettings
-from bunraku.generation.classifier_guidance import STRENGTH, ClassifierGuidance, Critic, Spoken, smoothed
+from bunraku.generation.classifier_guidance import SPREAD, STRENGTH, ClassifierGuidance, Critic, Spoken
 from bunraku.generation.denoiser import FEW_STEPS_KIND, fingerprint, load_denoiser_of_few_steps
 from bunraku.generation.extractor import RADIUS, ExtractorConfig
 from bunraku.generation.sampler import (
@@ -320,7 +321,7 @@ def test_the_gradient_is_that_of_the_cosine(network):
             way = np.zeros((24, SIZE), np.float32)
             way[frame, feature] = step
             slopes[frame, feature] = (cosine(network, x0 + way, goal) - cosine(network, x0 - way, goal)) / (2 * step)
-    expected = smoothed(slopes)  # smoothing is linear
+    expected = gaussian(slopes, SPREAD)  # smoothing is linear
     assert np.abs(found - expected).max() < 0.02 * np.abs(expected).max()
 
 

@@ -57,18 +57,11 @@ class ExampleBank:
             vector: The ranker's unit vector of the sentence, shape (V,).
             without: Takes that are passed over (`take_of`).
         """
-        scores = np.stack([self._scores(vector, mirrored) for mirrored in (False, True)])
+        scores = np.stack([np.mean(self.pack.nearness(vector, mirrored), axis=0) for mirrored in (False, True)])
         usable = self._usable & ~np.isin(self._takes, list(without)) if without else self._usable
         best = np.where(usable, scores.max(0), -np.inf)
         order = np.argsort(-best, kind="stable")[: self.count]
         return [(int(index), bool(scores[1, index] > scores[0, index])) for index in order if usable[index]]
-
-    def _scores(self, vector: np.ndarray, mirrored: bool) -> np.ndarray:
-        """Mean of the cosines of the sentence with the nearest sentence of each example and with its motion."""
-        side = int(mirrored)
-        near = np.full(len(self.pack.examples), -1.0)
-        np.maximum.at(near, self.pack.owners, self.pack.texts[side].astype(float) @ vector)
-        return np.asarray(0.5 * (near + self.pack.motions[side].astype(float) @ vector))
 
     def __call__(self, text: TextBatch, without: Sequence[Collection[str]] | None = None) -> RetrievedExamples:
         """Examples of each encoded sentence; `without` are the takes that are passed over for each."""

@@ -18,7 +18,7 @@ from bunraku.generation.denoiser import Denoiser
 from bunraku.generation.extractor import LONGEST, SHORTEST, Extractor
 from bunraku.generation.sampler import ROOT
 
-__all__ = ["Critic", "ClassifierGuidance", "Spoken", "smoothed"]
+__all__ = ["Critic", "ClassifierGuidance", "Spoken"]
 
 STRENGTH = 0.2  # root mean square of a step, in standard deviations of the features
 LAST = 100  # step of the sampler below which nothing is guided: what is left there are details
@@ -74,13 +74,8 @@ class ClassifierGuidance:
         gradient = self.network.cosine_gradient(values * self.std + self.mean, lengths, goals) * self.std
         gradient[..., ROOT] = 0
         if (lengths == lengths[0]).all():  # as the candidates of one sentence are
-            return list(smoothed(gradient.swapaxes(0, 1)).swapaxes(0, 1))
-        return [smoothed(row[:length]) for row, length in zip(gradient, lengths, strict=True)]
-
-
-def smoothed(values: np.ndarray, spread: float = SPREAD) -> np.ndarray:
-    """Values in time, shape (N, ...), convolved with a Gaussian of `spread` frames; the ends are held."""
-    return np.asarray(gaussian(values, spread))
+            return list(gaussian(gradient.swapaxes(0, 1), SPREAD).swapaxes(0, 1))
+        return [gaussian(row[:length], SPREAD) for row, length in zip(gradient, lengths, strict=True)]
 
 
 @dataclass(frozen=True)

@@ -87,7 +87,7 @@ def unturned(features: np.ndarray, fps: float) -> np.ndarray:
     excess = abs(angle) - TURN
     if excess <= 0:
         return features
-    along = np.maximum(gaussian(features[:, 0], SWAY / 2 * fps) * np.sign(angle), 0)
+    along = np.maximum(gaussian(features[:, 0], SWAY / 2 * fps) * np.sign(angle), 1e-6)
     out = features.copy()
     out[:, 0] -= np.sign(angle) * excess * fps * along / along.sum()
     return out

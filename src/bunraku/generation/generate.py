@@ -111,7 +111,7 @@ def generate_motions(
         shown = [clause if guidance.shows(clause) else clause.body for clause in scripts[row]]
         second = [clause.meanwhile or clause for clause in scripts[row]]
         script, gestures = (list(zip(clauses, lengths, strict=True)) for clauses in (shown, second))
-        if number < plain and not guidance.unranked(script) and not guidance.unranked(gestures):
+        if number < plain and not guidance.led_by(script) and not guidance.led_by(gestures):
             return None, None
         turn = attempt * (how.candidates - plain) + max(number - plain, 0)
         return guidance.of(script, noise[row], turn), guidance.of(gestures, noise[row], turn)

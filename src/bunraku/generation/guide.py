@@ -14,7 +14,7 @@ from bunraku.generation.composition import unturned
 from bunraku.generation.features import FEATURE_SIZE, FeatureStatistics, encode, feature_weights, mirror
 from bunraku.generation.pack import FPS, ExamplePack
 from bunraku.generation.retrieve import MOST_TIMES, Found, retrieve
-from bunraku.generation.splicing import AROUND, END, Joins, held, on_one_leg, played, rests
+from bunraku.generation.splicing import END, held, join_point, on_one_leg, played, rests, splice
 from bunraku.gestures.catalogue import at_part
 from bunraku.gestures.interactions import interaction_gesture
 from bunraku.gestures.limb_gesture import in_stance, limb_gesture
@@ -28,11 +28,12 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CROUCH", "GuidanceExample", "GuidanceExamples", "Guide", "circled", "fits_into", "goes_on", "laid",
-    "laid_script", "liveliest", "pose_distance", "timed", "warped",
+    "laid_script", "pose_distance", "timed", "warped",
 ]  # fmt: skip
 
 HURRY, SLOWED = 1.35, 1.25
 """Largest factors by which an example that is done once is sped up and slowed down to fill its time; chosen by eye."""
+TEMPO = (0.93, 1.08)  # factors between which a loop is drawn longer: two seeds of one example differ; chosen by eye
 # Chosen by eye on sheets of generated motion.
 UPRIGHT = 0.9  # of the root's axis, in a person who stands
 _LEAD = 10  # most frames of standing before an action that is done once: it begins within 0.7 s (`verifier`)
@@ -45,7 +46,9 @@ NEAR = 1.0
 """Difference of two poses, in network units, up to which rest is joined to standing; a motion that stands in its midst
 is joined whatever it is. The sampler repairs what is between.
 """
-WEIGHTS = feature_weights()[3:]  # of a pose: all features but the root's velocities
+WEIGHTS = feature_weights()
+BLEND = 10  # frames over which a motion blends into standing
+AROUND = BLEND + 3  # frames at its end that this may change
 _FADE = 10  # frames over which the sampler is free where one sentence blends into the next
 
 
@@ -55,7 +58,7 @@ class Guide:
 
     values: np.ndarray  # network units, shape (N, 271)
     share: np.ndarray  # how far each frame is the example's, shape (N,)
-    made: np.ndarray  # whether that is a gesture made by code or a user's own clip, shape (N,)
+    made: np.ndarray  # whether it is followed to the end: a gesture, a user's own clip, what says the same, shape (N,)
 
 
 def fits_into(pack: ExamplePack, found: Found, frames: int) -> bool:
@@ -100,9 +103,10 @@ def laid(
     if found.straight:
         features = unturned(features, FPS)
     example = pack.examples[found.number]
-    made = np.full(frames, example.unranked)  # the network may have seen no more of it than the ranker
+    # what the network may have seen as little of as the ranker, and what says the same, leads to the end
+    made = np.full(frames, example.unranked or found.close)
     if found.times > 1 and not closed:
-        features = repeated(liveliest(features, int(HURRY * frames / found.times), statistics), found.times)
+        features = repeated(features[: int(HURRY * frames / found.times)], found.times)
     loop = _loop(pack, found)
     if loop is None and found.times == 1 and not (closed or manner.lasts):
         features = timed(features, frames - int(random.integers(2 * _FADE)), 1 if manner.count else MOST_TIMES)
@@ -111,7 +115,11 @@ def laid(
         features = features[:1].repeat(frames, axis=0) if loop is None else circled(features, loop, frames)
         return Guide(statistics.normalise(features).astype(np.float32), share, made)
     if loop is None and len(features) > frames:
-        features = warped(liveliest(features, int(HURRY * frames), statistics), frames)
+        features = warped(features[: int(HURRY * frames)], frames)
+    if loop is not None:
+        length = round(random.uniform(*TEMPO) * (len(features) - 1))
+        loop = round(loop[0] * length / (len(features) - 1)), round(loop[1] * length / (len(features) - 1))
+        features = warped(features, length + 1)
     values = statistics.normalise(features).astype(np.float32)
     if loop is not None:
         values = played(values, loop, frames)
@@ -123,27 +131,38 @@ def laid(
         first = _end(features[:END], values[:END], features[-1, 3], statistics, example.made)
         last = _end(features[-END:], values[-END:], features[0, 3], statistics, example.made)
     still = statistics.normalise(np.zeros(FEATURE_SIZE, np.float32))[:3]
-    led = longer = values
-    if len(values) < frames and (first, last) != ("free", "free") and pack.standing:
-        similar = [index for index in pack.standing if pack.examples[index].made == example.made] or pack.standing
-        standing = [statistics.normalise(pack.features(index)).astype(np.float32) for index in similar]
-        before, after = (Joins(standing, near=NEAR if end == "stays" else np.inf) for end in (first, last))
-        if first != "free" and lead > AROUND:  # nothing of the motion itself is cross-faded
-            eased = held(values[::-1], AROUND, still, EASE)[::-1]
-            led = before.led(eased, lead - AROUND, random)
-            led = values if led is eased else led
-        longer = led
-        if last != "free" and len(led) + AROUND < frames:
-            eased = held(led, AROUND, still, EASE)
-            longer = after.followed(eased, frames, False, random)[:frames]
+    longer = values
+    if last != "free" and len(values) + AROUND < frames and pack.standing:
+        eased = held(values, AROUND, still, EASE)
+        longer = _stood(pack, eased, frames, statistics, NEAR if last == "stays" else np.inf, example.made)
     room = frames - len(longer)
-    lead = min(lead, room) if led is values else 0
+    lead = min(lead, room)
     share = np.ones(frames, np.float32)
     if first != "stays":
         share[:lead] = _rise(lead)
     if last != "stays":
         share[frames - (room - lead) :] = _rise(room - lead)[::-1]
     return Guide(held(held(longer[::-1], lead, still, EASE)[::-1], room - lead, still, EASE), share, made)
+
+
+def _stood(
+    pack: ExamplePack, values: np.ndarray, frames: int, statistics: FeatureStatistics, near: float, made: bool
+) -> np.ndarray:
+    """A motion (N, D) in network units, followed by a person who stands in nearly the pose in which it ends, at most
+    `frames` frames; the very array where the poses differ by more than `near`.
+    """
+    similar = [index for index in pack.standing if pack.examples[index].made == made] or pack.standing
+    pieces = [statistics.normalise(pack.features(index)).astype(np.float32) for index in similar]
+    joins = [join_point(values, piece, WEIGHTS, BLEND, (3, min(16, len(piece) // 2))) for piece in pieces]
+    best = int(np.argmin([distance for *_, distance in joins]))
+    i, j, distance = joins[best]
+    if distance > near:
+        return values
+    piece, wanted = pieces[best], frames - i + j
+    back, forth, _ = join_point(piece, piece, WEIGHTS)
+    if len(piece) < wanted and back - forth >= END:
+        piece = played(piece, (back, forth), wanted)
+    return splice(values, piece, i, j, BLEND)[:frames]
 
 
 def _performed(
@@ -199,7 +218,7 @@ def _loop(pack: ExamplePack, found: Found) -> tuple[int, int] | None:
 
 def pose_distance(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Squared distance of poses, shapes (..., 268) -> (...): features but for the root's velocities."""
-    return np.asarray((WEIGHTS * (first - second) ** 2).sum(axis=-1))
+    return np.asarray((WEIGHTS[3:] * (first - second) ** 2).sum(axis=-1))
 
 
 def _crouches(here: float, there: float) -> bool:
@@ -214,25 +233,12 @@ def _rise(frames: int) -> np.ndarray:
     return smooth_step(np.clip(1 - (frames - np.arange(frames)) / _FADE, 0, 1)).astype(np.float32)
 
 
-def liveliest(features: np.ndarray, frames: int, statistics: FeatureStatistics) -> np.ndarray:
-    """The part of a motion with the most movement, of at most so many frames, shape (M, D)."""
-    if len(features) <= frames:
-        return features
-    pose = statistics.normalise(features)[:, 3:]
-    step = np.diff(pose, axis=0, prepend=pose[:1])
-    moved = np.concatenate([[0.0], np.cumsum((step**2).sum(axis=1))])
-    start = int((moved[frames:] - moved[:-frames]).argmax())
-    return features[start : start + frames]
-
-
 def repeated(features: np.ndarray, times: int) -> np.ndarray:
     """A motion so many times in a row, each cross-faded into the next, shape (M, D)."""
     fade = min(_FADE, len(features) // 3)
-    share = smooth_step((np.arange(fade) + 1) / (fade + 1))[:, None].astype(np.float32)
     out = features
     for _ in range(times - 1):
-        joined = out[len(out) - fade :] * (1 - share) + features[:fade] * share
-        out = np.concatenate([out[: len(out) - fade], joined, features[fade:]])
+        out = splice(out, features, len(out) - fade, 0, fade)
     return out
 
 
@@ -266,13 +272,7 @@ def circled(features: np.ndarray, loop: tuple[int, int], frames: int) -> np.ndar
     """The cycle of a loop (i, j) of a motion (N, D), repeated as fits best into so many frames, shape (frames, D)."""
     cycle = features[loop[1] : loop[0]]
     times = max(round(frames / len(cycle)), 1)
-    pace = times * len(cycle) / frames
-    at = np.arange(frames) * pace % len(cycle)
-    low = np.minimum(at.astype(int), len(cycle) - 1)
-    share = (at - low)[:, None].astype(np.float32)
-    out = cycle[low] * (1 - share) + cycle[(low + 1) % len(cycle)] * share
-    out[:, :3] *= pace
-    return np.asarray(out, np.float32)
+    return warped(np.concatenate([np.tile(cycle, (times, 1)), cycle[:1]]), frames + 1)[:-1]
 
 
 def laid_script(
@@ -320,6 +320,10 @@ class GuidanceExample:
         return laid_script(self.pack, parts, frames, statistics, random, self.manners)
 
 
+NEARER = 0.02
+"""Scale of the numbers from a Gumbel distribution that are added to the examples' scores: of two whose scores differ by
+.04, the nearer one is then first in 88 % of the seeds. Chosen by eye.
+"""
 NEAREST = 3
 ALIKE = 1.0  # further distance of poses from the nearest up to which others may begin, too
 TRIED = 3  # examples that are considered for one
@@ -370,12 +374,12 @@ class GuidanceExamples:
             return "", ""
         return word, clause.actions[0]
 
-    def unranked(self, script: Sequence[tuple[Clause, int]]) -> bool:
+    def led_by(self, script: Sequence[tuple[Clause, int]]) -> bool:
         """Whether a clause requests what the ranker has never seen, a gesture made by code or a user's own clip: the
-        network may not have learned it either.
+        network may not have learned it either. Or an example says the same, and shows it better than the network.
         """
         return any(
-            self.pack.examples[found.number].unranked
+            self.pack.examples[found.number].unranked or found.close
             for clause, _ in script
             for found in self._found.get(clause.text, [])[:1]
         )
@@ -392,7 +396,8 @@ class GuidanceExamples:
             fitting = [one for one in offered if fits_into(self.pack, one, frames)] or offered
             if chosen and chosen[-1] is not None:
                 fitting = self._following(chosen[-1], fitting)
-            order = random.permutation(len(fitting)).tolist()
+            scores = np.array([one.score for one in fitting]) + NEARER * random.gumbel(size=len(fitting))
+            order = np.argsort(-scores).tolist()  # the nearest first, but not always
             first = number % max(len(order), 1)
             turn = [fitting[index] for index in order[first:] + order[:first]][:TRIED]
             chosen.append(next((one for one in turn if not self._begins_oddly(one)), turn[0]) if turn else None)

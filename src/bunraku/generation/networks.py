@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from bunraku.generation.extractor import Extractor
     from bunraku.generation.pack import ExamplePack
 
-__all__ = ["Networks", "Texts", "load_generator"]
+__all__ = ["Networks", "Texts"]
 
 
 @dataclass(frozen=True)
@@ -83,17 +83,6 @@ class Networks:
         return load_examples()
 
 
-def load_generator(checkpoint: str | Path | None = None) -> tuple[Denoiser, TextEncoder]:
-    """The denoiser, shipped or from a checkpoint, and its text encoder, kept between calls as long as the file does not
-    change. Weights trained with CLIP look for its folder in the environment variable BUNRAKU_CLIP.
-
-    Raises:
-        WeightsError: The weights are missing or broken.
-    """
-    dated_path = dated_checkpoint("diffusion", checkpoint)
-    return _denoiser(*dated_path), _encoder(*dated_path)
-
-
 @functools.lru_cache(maxsize=2)
 def _denoiser(path: Path, changed: int) -> Denoiser:
     from bunraku.generation.denoiser import load_denoiser
@@ -140,27 +129,23 @@ class Texts:
         bodies = [clause.body for clause in clauses] if critic is not None else []
         plain = {text: None for clause in clauses for text in (clause.body.text, (clause.meanwhile or clause).text)}
         ranker = networks.ranker if ranks or shows else None
-        networks_of = ranker, critic, ranker
-        wanted = [sorted({clause.person for clause in some}) for some in (voices, bodies)]
-        wanted.append(sorted({clause.text for clause in clauses}) if ranks else [])
-        encoders = [
-            networks.encoder if network is None else encoder_of(network.config.text_encoder, networks.encoder)
-            for network in networks_of
-        ]
-        with one_thread():
-            batches = [
-                encoder.encode(texts) if texts else None for encoder, texts in zip(encoders[:2], wanted, strict=False)
-            ]
+
+        def vectors(network: Extractor | None, texts: Iterable[str]) -> dict[str, np.ndarray]:
+            """A network's vector of each text, shape (E,); none without the network."""
+            wanted = sorted(set(texts))
+            if network is None or not wanted:
+                return {}
+            encoder = encoder_of(network.config.text_encoder, networks.encoder)
+            with one_thread():
+                return dict(zip(wanted, sentence_vectors(network, encoder.encode(wanted)), strict=True))
+
+        of_persons = vectors(ranker, (voice.person for voice in voices))
+        guiding = vectors(critic, (clause.person for clause in bodies))
         tokens = networks.encoder.encode(list(plain))
-        with one_thread():
-            batches.append(encoders[2].encode(wanted[2]) if ranks else None)
-            by_text: list[dict[str, np.ndarray]] = []
-            for network, texts, batch in zip(networks_of, wanted, batches, strict=True):
-                vectors = () if network is None or batch is None else sentence_vectors(network, batch)
-                by_text.append(dict(zip(texts, vectors, strict=True)))
-        shown = {clause.text: (clause, by_text[0][clause.person] / RADIUS) for clause in voices}
-        guided = {clause.text: by_text[1][clause.person] / RADIUS for clause in bodies}
-        return cls({text: row for row, text in enumerate(plain)}, tokens, by_text[2], shown, guided)
+        ranked = vectors(ranker, (clause.text for clause in clauses if ranks))
+        shown = {clause.text: (clause, of_persons[clause.person] / RADIUS) for clause in voices}
+        guided = {clause.text: guiding[clause.person] / RADIUS for clause in bodies}
+        return cls({text: row for row, text in enumerate(plain)}, tokens, ranked, shown, guided)
 
     def batch(self, texts: Sequence[str]) -> TextBatch:
         """The tokens of these texts, in their order."""

@@ -1,20 +1,16 @@
 """Captured examples in one file: short stretches of motion with sentences, and the ranker's vectors of both.
 
 A stretch is kept as the motion of a skeleton of 22 joints: the root's position and the joints' rotations at 20 frames a
-second, in steps of half a millimetre and of a milliradian, their differences packed by LZMA: 50 bytes a frame. What the
-sentences say, and in which stretches a person stands well, is kept in a JSON file beside it, so that no run works it
-out again.
+second, in steps of half a millimetre and of a milliradian, their differences packed by LZMA: 50 bytes a frame.
 """
 
 from __future__ import annotations
 
 import functools
 import hashlib
-import json
 import lzma
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from importlib import resources
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -32,7 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BUSY", "FPS", "IDLE", "KIND", "MADE", "OWN", "Example", "ExamplePack", "Said", "fingerprint", "load_examples",
-    "packed_stretch", "read_pack", "said_by", "said_path", "stand_well", "unpacked_stretch", "write_pack", "write_said",
+    "packed_stretch", "read_pack", "said_by", "stand_well", "unpacked_stretch", "write_pack",
 ]  # fmt: skip
 
 KIND = "examples"
@@ -43,7 +39,6 @@ IDLE = "#idle"
 """End of the names of stretches of people who stand; gestures are made by these."""
 BUSY = "#busy"
 """The same of people who use their hands; gestures take all but these from them."""
-_AND = ", "
 _OTHER_SIDE = {"left": "right", "right": "left"}
 MOST_FRAMES = 2_000  # of one stretch; more in a file is damage
 _METRES, _RADIANS = 5e-4, 1e-3
@@ -114,15 +109,13 @@ class Said(NamedTuple):
         return frozenset(cues)
 
 
-def said_by(texts: Sequence[str]) -> Said:
+@functools.lru_cache(maxsize=4096)
+def said_by(texts: tuple[str, ...]) -> Said:
     """What the sentences of an example say."""
     cues, traits = (frozenset[str]().union(*map(read, texts)) for read in (said_cues, said_traits))
     actions = frozenset(main_actions(texts))
     besides = frozenset(actions_of(texts[0])) if texts else frozenset[str]()
     return Said(actions, cues, traits, besides - actions)
-
-
-_said_by = functools.lru_cache(maxsize=4096)(said_by)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,9 +129,7 @@ class ExamplePack:
     texts: np.ndarray
     motions: np.ndarray  # unit vectors of the stretches and of their mirror images, shape (2, E, V)
     ranker: str  # fingerprint of the ranker's weights that made the vectors
-    # `Said` of each example, each field parted by commas; empty where it is not stored
-    stored: Sequence[Sequence[str]] = ()
-    stored_standing: Sequence[int] | None = None  # result of `stand_well`; None where it is not stored
+    stand: Sequence[int] | None = None  # result of `stand_well`; None where it is not stored
 
     @functools.cached_property
     def made(self) -> np.ndarray:
@@ -148,7 +139,7 @@ class ExamplePack:
     @functools.cached_property
     def handled(self) -> tuple[int, ...]:
         """The gesture that stands for all that is done with things; none in a pack without it."""
-        return tuple(index for index in np.flatnonzero(self.made).tolist() if self.said(index).actions == {"handle"})
+        return tuple(index for index, example in enumerate(self.examples) if example.name.startswith(f"{MADE}handle_"))
 
     @functools.cached_property
     def standing_poses(self) -> dict[int, np.ndarray]:
@@ -178,20 +169,19 @@ class ExamplePack:
 
     @functools.cached_property
     def _standing_well(self) -> Sequence[int]:
-        return stand_well(self) if self.stored_standing is None else self.stored_standing
-
-    @functools.cached_property
-    def actions(self) -> list[frozenset[str]]:
-        """What the sentences of each example agree on."""
-        if not self.stored:
-            return [self.said(index).actions for index in range(len(self.examples))]
-        return [frozenset(row[0].split(_AND)) - {""} for row in self.stored]
+        return stand_well(self) if self.stand is None else self.stand
 
     def said(self, index: int) -> Said:
         """What the sentences of an example say."""
-        if not self.stored:
-            return _said_by(tuple(self.examples[index].texts))
-        return Said(*[frozenset(names.split(_AND)) - {""} for names in self.stored[index]])
+        return said_by(tuple(self.examples[index].texts))
+
+    def nearness(self, vector: np.ndarray, mirrored: bool) -> tuple[np.ndarray, np.ndarray]:
+        """The cosines (E,) of the ranker's unit vector (V,) of a sentence with the nearest sentence of each example,
+        and with its motion; those of the mirror images where `mirrored`.
+        """
+        nearest = np.full(len(self.examples), -1.0)
+        np.maximum.at(nearest, self.owners, self.texts[int(mirrored)].astype(float) @ vector)
+        return nearest, self.motions[int(mirrored)].astype(float) @ vector
 
     def gesture(self, index: int) -> Gesture | None:
         """The gesture that an example is; None where it is captured, or no gesture of this version."""
@@ -292,68 +282,23 @@ def _stretch_values(data: bytes, frames: int) -> np.ndarray:
 
 
 def write_pack(path: str | Path, pack: ExamplePack, notes: Mapping[str, object]) -> Path:
-    """Write examples with notes on their sources and choice; and beside them what their sentences say (`said_path`)."""
+    """Write examples with notes on their sources and choice, and in which stretches a person stands well."""
     from bunraku.core.nn.checkpoints import save_checkpoint
 
     table = [[example.name, list(example.texts), example.frames, list(example.loop or ())] for example in pack.examples]
+    texts = np.rint(_STEPS * pack.texts).astype(np.int8)
+    sided = np.flatnonzero((texts[0] != texts[1]).any(axis=1))  # most sentences are the same in the mirror
     tensors: dict[str, np.ndarray] = {
         "data": np.frombuffer(b"".join(pack.data), np.uint8),
         "sizes": np.array([len(part) for part in pack.data], np.int32),
         "owners": pack.owners.astype(np.int32),
-        "texts": np.rint(_STEPS * pack.texts).astype(np.int8),
+        "texts": texts[0],
+        "sided": sided.astype(np.int32),
+        "mirrored": texts[1, sided],
         "motions": np.rint(_STEPS * pack.motions).astype(np.int8),
     }
-    write_said(path, pack)
-    return save_checkpoint(path, tensors, {"examples": table, "ranker": pack.ranker, "notes": notes}, KIND, half=True)
-
-
-def said_path(path: str | Path) -> Path:
-    """File beside a pack with what its sentences say."""
-    return Path(path).with_suffix(".json")
-
-
-def write_said(path: str | Path, pack: ExamplePack) -> None:
-    """Write beside a pack what its sentences say and in which stretches a person stands well."""
-    from bunraku.core.files import atomic_write
-
-    rows = [json.dumps([_AND.join(sorted(names)) for names in said_by(example.texts)]) for example in pack.examples]
-    head = f'{{"of": "{_contents(pack)}", "stand": {stand_well(pack)}, "rows": [\n'
-    with atomic_write(said_path(path)) as file:
-        file.write((head + ",\n".join(rows) + "\n]}\n").encode())
-
-
-def _contents(pack: ExamplePack) -> str:
-    """Fingerprint of the sentences of a pack, of the lexicon that reads them, and of its stretches of standing."""
-    digest = hashlib.sha256(resources.files("bunraku.language").joinpath("lexicon.json").read_bytes())
-    digest.update(json.dumps([example.texts for example in pack.examples]).encode())
-    for example, data in zip(pack.examples, pack.data, strict=False):  # a pack that is damaged has fewer
-        if not example.texts:
-            digest.update(data)
-    return digest.hexdigest()[:16]
-
-
-def _with_stored(pack: ExamplePack, path: str | Path) -> ExamplePack:
-    """A pack with what `write_said` stored; as it is where that is missing, or of another pack or by another lexicon.
-
-    Raises:
-        WeightsError: The file is damaged.
-    """
-    file, count = said_path(path), len(pack.examples)
-    if not file.is_file():
-        return pack
-    try:
-        words = json.loads(file.read_bytes())
-        if words["of"] != _contents(pack):
-            return pack
-        rows: list[list[str]] = words["rows"]
-        standing: list[int] = words["stand"]
-        if len(rows) != count or {tuple(map(type, row)) for row in rows} - {(str,) * len(Said._fields)}:
-            raise ValueError
-        if {type(index) for index in standing} - {int} or not all(0 <= index < count for index in standing):
-            raise ValueError
-    except (ValueError, TypeError, LookupError, RecursionError) as error:
-        raise WeightsError(f"{file}: what the examples say is damaged; take the file away") from error
-    return replace(pack, stored=rows, stored_standing=standing)
+    config = {"examples": table, "ranker": pack.ranker, "notes": notes, "stand": list(stand_well(pack))}
+    return save_checkpoint(path, tensors, config, KIND, half=True)
 
 
 def read_pack(path: str | Path) -> ExamplePack:
@@ -378,17 +323,29 @@ def read_pack(path: str | Path) -> ExamplePack:
         owners = state["owners"]
         pack = ExamplePack(
             tuple(examples), tuple([data[start:stop] for start, stop in zip(ends, ends[1:], strict=False)]), owners,
-            _units(state["texts"]), _units(state["motions"]), str(config["ranker"]),
+            _both_sides(state), _units(state["motions"]), str(config["ranker"]),
+            [int(index) for index in config["stand"]] if "stand" in config else None,
         )  # fmt: skip
         fits = pack.texts.shape[:2] == (2, len(owners)) and pack.motions.shape[:2] == (2, len(examples))
         if not fits or len(sizes) != len(examples) or not ((owners >= 0) & (owners < len(examples))).all():
             raise ValueError("its tables have different lengths")
-    return _with_stored(pack, path)
+        if not all(0 <= index < len(examples) for index in pack.stand or ()):
+            raise ValueError("people stand in stretches that it does not have")
+    return pack
 
 
 def _units(vectors: np.ndarray) -> np.ndarray:
     """Unit vectors of a file; older ones hold them as float16."""
     return vectors.astype(np.float32) / _STEPS if vectors.dtype == np.int8 else vectors
+
+
+def _both_sides(state: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Unit vectors of the sentences and of the mirrored ones, shape (2, T, V)."""
+    if state["texts"].ndim == 3:  # of an older file
+        return _units(state["texts"])
+    texts = np.stack([_units(state["texts"])] * 2)
+    texts[1, state["sided"]] = _units(state["mirrored"])
+    return texts
 
 
 def load_examples() -> ExamplePack | None:

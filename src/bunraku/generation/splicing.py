@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from bunraku.core.geometry.curves import smooth_step
-from bunraku.generation.features import FeatureStatistics, decode, feature_weights
+from bunraku.generation.features import FeatureStatistics, decode
 from bunraku.generation.track import Track
 
-__all__ = [
-    "AROUND", "END", "FEWEST", "Joins", "held", "join_point", "on_one_leg", "played", "rests", "splice",
-
-]  # fmt: skip
+__all__ = ["END", "held", "join_point", "on_one_leg", "played", "rests", "splice"]
 
 END = 4  # frames that tell whether a motion rests
 _BLEND = 6
@@ -79,81 +74,7 @@ def rests(values: np.ndarray, statistics: FeatureStatistics) -> bool:
     return bool(speed < 0.5 and (np.diff(values, axis=0)[:, 4:] ** 2).mean() < 0.02)
 
 
-FEWEST = 24  # fewest frames of a stretch of standing
-TRIED = 20
-NEAR = 0.5  # largest difference of two poses that are joined, where no sampler follows
-BLEND = 10  # frames over which one blends into the other
 LIFTED = 0.15  # height of an ankle over the other [m] with which a foot is up; chosen by eye
-_LOST = 3
-AROUND = BLEND + _LOST  # frames at an end that joining may change
-
-
-class Joins:
-    """Banks of standing and of walking in network units, walks with the frames of their loops (see `played`), and how a
-    motion is joined to them: two poses up to `near` apart, in mean squared difference.
-    """
-
-    def __init__(
-        self, standing: Sequence[np.ndarray], walking: Sequence[tuple[np.ndarray, tuple[int, int]]] = (),
-        near: float = NEAR,
-    ):  # fmt: skip
-        self._share, self._near = feature_weights(), near
-        self.standing, self.walking = list(standing), list(walking)
-
-    def around(self, values: np.ndarray, target: int, goes: bool, random: np.random.Generator) -> np.ndarray:
-        """The motion (N, D) with standing before and after it, or walking on after it where it `goes`, as far as poses
-        agree, at most `target` frames; the very array where nothing fits.
-        """
-        room = target - len(values)
-        before = int(random.integers(6, 50)) if random.random() < 0.6 else 0
-        if 0 < before <= room and self.standing:
-            values = self.led(values, before, random)
-        if len(values) < target:
-            values = self.followed(values, target, goes and bool(self.walking), random)
-        return values[:target]
-
-    def led(self, values: np.ndarray, frames: int, random: np.random.Generator) -> np.ndarray:
-        """The motion with at most this many frames of standing before it; the very array where no pose agrees."""
-        best: tuple[float, int, int, np.ndarray] | None = None
-        for index in random.integers(len(self.standing), size=TRIED):
-            piece = self._idle(int(index), frames + BLEND)
-            i, j, distance = join_point(piece, values, self._share, BLEND, (min(8, len(piece) // 3), _LOST))
-            if best is None or distance < best[0]:
-                best = (distance, i, j, piece)
-        if best is None or best[0] > self._near:
-            return values
-        _, i, j, piece = best
-        return splice(piece[max(0, i - frames) :], values, min(i, frames), j, BLEND)
-
-    def followed(self, values: np.ndarray, target: int, goes: bool, random: np.random.Generator) -> np.ndarray:
-        """The motion with standing, or walking on where it `goes`, after it; the very array where no pose agrees."""
-        best: tuple[float, int, int, np.ndarray] | None = None
-        bank = len(self.standing) + (len(self.walking) if goes else 0)
-        if bank == 0:
-            return values
-        for _ in range(TRIED):
-            wanted = target - len(values) + BLEND + _LOST
-            if goes and random.random() < 0.6:
-                walk, loop = self.walking[int(random.integers(len(self.walking)))]
-                piece = played(walk, loop, wanted)
-            elif self.standing:
-                piece = self._idle(int(random.integers(len(self.standing))), wanted)
-            else:
-                continue
-            i, j, distance = join_point(values, piece, self._share, BLEND, (_LOST, min(16, len(piece) // 2)))
-            if best is None or distance < best[0]:
-                best = (distance, i, j, piece)
-        if best is None or best[0] > self._near:
-            return values
-        _, i, j, piece = best
-        return splice(values, piece, i, j, BLEND)
-
-    def _idle(self, index: int, frames: int) -> np.ndarray:
-        piece = self.standing[index]
-        if len(piece) >= frames:
-            return piece
-        i, j, _ = join_point(piece, piece, self._share)
-        return played(piece, (i, j), frames) if i - j >= 6 else piece
 
 
 def on_one_leg(features: np.ndarray) -> bool:

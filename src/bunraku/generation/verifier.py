@@ -39,6 +39,7 @@ _LATE = 0.8  # s later, nothing of the claim is left; the same
 _LIVELY = 0.4  # m/s, mean speed of the body's points in a slow walk, from which on any motion has begun
 _REST = 1.2  # s that a motion may rest at its end; people who watched takes called 1.5 s idle
 _CALM = 0.2  # share of the highest speed below which a body rests
+_FLAT = 0.3  # m over the ground, below which the ankles of a body are that lies flat
 _STAYS = 0.6  # m that a person who only uses the arms or the head may go
 
 
@@ -222,6 +223,18 @@ def _posture(clause: Clause, track: Track) -> float | None:
     return min(low, (first + _SEAT) / _CLEAR) if "sits down" in clause.traits else low
 
 
+def _stays_down(clause: Clause, track: Track) -> float | None:
+    """A person who lies down, falls or dies is down at the end, and then no shin is in the air."""
+    if not clause.actions or not stays_down(clause.actions[-1]) or "gets up" in clause.traits or clause.moves:
+        return None
+    down = (-_ends(track)[1] - _SEAT) / _CLEAR
+    if clause.actions[-1] not in ("lie", "fall"):
+        return down
+    end = slice(-track.frames(0.3), None)
+    raised = max(float(np.median(track.points[f"{side}_ankle"][end, 1])) for side in SIDES) - _FLAT
+    return min(down, 1 - max(raised, 0) / _FLAT)
+
+
 def _same_posture(clause: Clause, track: Track) -> float | None:
     """A person who uses the arms or the head alone, or walks, neither sits down for it nor gets up."""
     if not (_still_feet(clause) or clause.locomotion in _ON_FOOT) or clause.stance is not None:
@@ -237,10 +250,14 @@ def _begins(clause: Clause, track: Track) -> float | None:
 
 
 def _fills(clause: Clause, track: Track) -> float | None:
-    """The body does not rest for long at the end of what goes on; after what changes its posture, it may."""
+    """The body does not rest for long at the end of what goes on; after what changes its posture, and on the ground, it
+    may.
+    """
     if not clause.traits.isdisjoint(("halts", "gets up", "on a leg")) or any(
         action == "idle" or stays_down(action) for action in clause.actions
     ):
+        return None
+    if _ends(track)[1] < -_SEAT:
         return None
     speed = _speed(track)
     rest = (len(speed) - 1 - np.flatnonzero(speed >= _CALM * speed.max())[-1]) / track.fps
@@ -255,6 +272,7 @@ CLAIMS = (
     Claim("the direction", _way),
     Claim("staying in place", _no_travel, of_one=False),
     Claim("sitting or standing", _posture),
+    Claim("staying down", _stays_down, of_one=False),
     Claim("keeping the posture", _same_posture, of_one=False),
     Claim("beginning at once", _begins, of_one=False),
     Claim("filling the time", _fills, of_one=False),

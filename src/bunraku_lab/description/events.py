@@ -6,7 +6,8 @@ import re
 
 import numpy as np
 
-from bunraku.generation.track import SIDES, Phrase, Track, runs, smooth
+from bunraku.generation.track import SIDES, Track, smooth
+from bunraku_lab.description.phrases import Phrase, runs
 
 
 def peaks(values: np.ndarray, prominence: float, height: float | None = None) -> np.ndarray:

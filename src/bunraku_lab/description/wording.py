@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from bunraku.core.motion import HandleMotion
-from bunraku.generation.track import Phrase, Track
+from bunraku.generation.track import Track
 from bunraku.language.captions import conjugate, mirror_words
 from bunraku_lab.description.captions import (
     caption_clauses,
@@ -32,6 +32,7 @@ from bunraku_lab.description.events import (
     find_stillness,
     find_turns,
 )
+from bunraku_lab.description.phrases import Phrase
 
 _LEAST = 16  # frames of a state that are worth a word
 _TIMES = {2: "twice", 3: "three times", 4: "four times", 5: "five times"}

@@ -20,6 +20,7 @@ from bunraku.core.motion import SkeletalMotion
 from bunraku.core.nn.checkpoints import load_checkpoint, shipped_checkpoint
 from bunraku.generation.extractor import RADIUS, Extractor, embed_motions, embed_sentences, load_ranker
 from bunraku.generation.features import FeatureStatistics, body_handle_motion, decode, encode, mirror
+from bunraku.generation.library import all_clips
 from bunraku.generation.pack import (
     BUSY,
     FPS,
@@ -34,7 +35,7 @@ from bunraku.generation.pack import (
     read_pack,
     write_pack,
 )
-from bunraku.generation.track import SIDES, Track, runs
+from bunraku.generation.track import SIDES, Track
 from bunraku.gestures.catalogue import STANDING, gestures
 from bunraku.gestures.play import gesture_motion
 from bunraku.gestures.standing import stands_well
@@ -44,6 +45,7 @@ from bunraku.language.lexicon import main_actions
 from bunraku.language.vocabulary import is_known, own_words, words_of, write_own_words
 from bunraku_lab.datasets.motions.build import split_of
 from bunraku_lab.datasets.motions.clips import load_watched
+from bunraku_lab.description.phrases import runs
 from bunraku_lab.description.wording import computed_sentence, inside
 from bunraku_lab.training.rows.clip_rows import ClipSet, Mixture, standing_stretches
 from bunraku_lab.training.rows.clips import ClipEntry, load_clips
@@ -148,8 +150,6 @@ _BUSY = re.compile(
 _WORDINGS = 3
 _BYTES = 50
 """Of a packed frame, about."""
-_CLEAR = 0.2
-"""Least cosine of a stretch with its own sentences, by the ranker, below which one is hardly seen in the other."""
 
 
 @dataclass(frozen=True)
@@ -343,18 +343,22 @@ def _with_asked(
 def _widest(
     base: ExamplePack, found: list[_Stretch], ranker: Extractor, encoder: TextEncoder, most: int
 ) -> tuple[ExamplePack, list[_Stretch]]:
-    """A pack without the captured stretches that others in it replace best, and of new ones those that show what it
-    does not, until its captured motion has `most` bytes: each time the stretch is taken, of all that are there, to
-    which the most sentences come nearer for its bytes.
+    """A pack without the captured stretches that others in it replace best, but for those of the clip library, and of
+    new ones those that show what it does not, until its captured motion has `most` bytes: each time the stretch is
+    taken, of all that are there, to which the most sentences come nearer for its bytes.
     """
-    texts, motions, owners = _vectors(found, ranker, encoder)
-    clear = np.array([float(texts[0, owners == i].mean(axis=0) @ motions[0, i]) for i in range(len(found))])
-    sentences = np.concatenate([base.texts[0], texts[0]])
+    texts = _sentence_vectors([text for one in found for text in one.texts + one.asked], ranker, encoder)[0]
+    owners = np.array([index for index, one in enumerate(found) for _ in one.texts + one.asked], int)
+    sentences = np.concatenate([base.texts[0], texts])
     whose = np.concatenate([base.owners, owners + len(base.examples)])
-    free = [index for index, one in enumerate(base.examples) if one.texts and "#" not in one.name and not one.unranked]
+    clips = {clip.stretch for clip in all_clips()}
+    free = [
+        index for index, one in enumerate(base.examples)
+        if one.texts and "#" not in one.name and not one.unranked and one.name not in clips
+    ]  # fmt: skip
     ours = [index for index, one in enumerate(base.examples) if index not in set(free)]
     bytes_of = np.array([len(part) for part in base.data] + [_BYTES * len(one.features) for one in found], float)
-    stretches = [*free, *(len(base.examples) + np.flatnonzero(clear > _CLEAR)).tolist()]
+    stretches = [*free, *range(len(base.examples), len(base.examples) + len(found))]
     near = np.stack([(sentences @ sentences[whose == index].T).max(axis=1) for index in stretches], axis=1) ** 2
     covered = np.full(len(sentences), 0.0)
     left = most - sum(bytes_of[index] for index in ours if not base.examples[index].made)
@@ -378,7 +382,7 @@ def _widest(
     slim = replace(
         base, examples=tuple(base.examples[index] for index in stays), data=tuple(base.data[index] for index in stays),
         owners=np.array([place_of[owner] for owner in base.owners[rows].tolist()], np.int32),
-        texts=base.texts[:, rows], motions=base.motions[:, stays], stored=(), stored_standing=None,
+        texts=base.texts[:, rows], motions=base.motions[:, stays], stand=None,
     )  # fmt: skip
     return slim, [found[index - len(base.examples)] for index in sorted(kept) if index >= len(base.examples)]
 

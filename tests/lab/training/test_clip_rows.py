@@ -10,8 +10,8 @@ import pytest
 from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.errors import FormatError
 from bunraku.generation.features import ROOT_SIZE, FeatureStatistics, decode, mirror
-from bunraku.generation.track import Phrase
 from bunraku_lab.description.captions import creature_variants
+from bunraku_lab.description.phrases import Phrase
 from bunraku_lab.training.rows.clip_rows import ENOUGH, ClipSet, EventPool, Mixture, link
 from bunraku_lab.training.rows.clips import (
     TrainingClip,

@@ -200,13 +200,13 @@ def evaluate_motion(config: MotionEvalConfig, report: Report | None = None) -> d
     """
     from bunraku.core.nn.checkpoints import load_checkpoint, shipped_checkpoint
     from bunraku.generation.denoiser import KIND
-    from bunraku.generation.networks import load_generator
+    from bunraku.generation.networks import Networks
 
     _check(config)
     report = report or (lambda stage, done: None)
     extractor = load_extractor(config.extractor or lab_checkpoint("extractor"))
     checkpoint = config.checkpoint or shipped_checkpoint("diffusion")
-    model, own_encoder = load_generator(checkpoint)
+    model, own_encoder = Networks(checkpoint).denoiser, Networks(checkpoint).encoder
     clips = people(
         load_clips(config.data, lambda done, total: report("clips", done / total), {config.split}), config.split
     )

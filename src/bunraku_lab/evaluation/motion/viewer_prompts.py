@@ -257,10 +257,10 @@ def _ground(make: Make, seeds: int) -> dict[str, Any]:
 
 def _minute(make: Make, config: MotionEvalConfig, seeds: int) -> dict[str, Any]:
     """Walks of a minute: the largest change of heading, and the largest jump at a seam, of all seeds."""
-    from bunraku.generation.networks import load_generator
+    from bunraku.generation.networks import Networks
     from bunraku.generation.windows import plan_windows
 
-    model, _ = load_generator(config.checkpoint)
+    model = Networks(config.checkpoint).denoiser
     motions = make([(WALK, 60.0)] * seeds)
     seams = plan_windows([len(motions[0])], model.config.frames).seams
     return {

@@ -418,9 +418,9 @@ def _drawn(
 ) -> list[HandleMotion]:
     """One sample of a network for each window's sentence, by its own steps."""
     from bunraku.generation.candidates import GUIDANCE, STEPS
-    from bunraku.generation.networks import load_generator
+    from bunraku.generation.networks import Networks
 
-    model, encoder = load_generator(path)
+    model, encoder = Networks(path).denoiser, Networks(path).encoder
     requests = [Request(window.sentence, window.frames) for window in windows]
     made = make_motions(
         model, encoder, requests, SamplerSettings(STEPS, GUIDANCE, seed=config.seed),

@@ -10,11 +10,12 @@ import numpy as np
 
 from bunraku.core.motion import HandleMotion
 from bunraku.generation.features import FeatureStatistics, decode, feature_weights, mirror
-from bunraku.generation.splicing import FEWEST, Joins, join_point, on_one_leg, splice
-from bunraku.generation.track import Phrase, Track
+from bunraku.generation.splicing import join_point, on_one_leg, splice
+from bunraku.generation.track import Track
 from bunraku.language.captions import conjugate, mirror_words
 from bunraku_lab.description.captions import caption_group, is_stative
 from bunraku_lab.description.events import find_punches, find_seats
+from bunraku_lab.description.phrases import Phrase
 from bunraku_lab.description.wording import (
     borrowed_sentence,
     can_do,
@@ -25,6 +26,7 @@ from bunraku_lab.description.wording import (
     verbs,
 )
 from bunraku_lab.training.rows.clips import MIN_FRAMES, ClipEntry, TrainingClip, goes_on, joined_sentence
+from bunraku_lab.training.rows.joins import FEWEST, Joins
 
 ENOUGH = 40
 """Events of a kind from which on more do not make it more frequent."""
