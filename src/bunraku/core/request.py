@@ -86,7 +86,7 @@ MOST_VALUES = 400_000
 DEEPEST = 16
 """Depth of nested lists and objects."""
 _STRING = re.compile(rb'"(?:[^"\\]++|\\.)*+"?', re.DOTALL)
-_SIGNS = bytes(sign for sign in range(256) if sign not in b"[]{}")
+_SIGNS = bytes(sorted({*range(256)}.difference(b"[]{}")))
 _COUNTS = {2: "two", 3: "three", 4: "four"}
 
 

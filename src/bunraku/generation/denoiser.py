@@ -97,8 +97,8 @@ class _Changed(Mapping[str, np.ndarray]):
         matrix, change = self._state[name], self._changes.get(name)
         if change is None:
             return matrix
-        up, down = (part.astype(np.float32) for part in change)
-        return np.asarray(matrix.astype(np.float32) + up @ down)
+        up, down = change
+        return np.asarray(matrix.astype(np.float32) + up.astype(np.float32) @ down.astype(np.float32))
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._state)

@@ -83,7 +83,7 @@ def is_known_clause(clause: str) -> bool:
     spaces, first = clause.count(" "), clause[:2]
     for phrase in known_phrases():  # only the few that begin alike are conjugated
         alike = phrase.count(" ") == spaces and phrase.lstrip("{")[:2] == first
-        if alike and any(conjugate(phrase, form) == clause for form in ("third", "gerund", "plain")):
+        if alike and clause in (conjugate(phrase, "third"), conjugate(phrase, "gerund"), conjugate(phrase, "plain")):
             return True
     return False
 

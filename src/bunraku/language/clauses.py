@@ -72,8 +72,9 @@ def _verb(words: Sequence[str], *forms: str) -> int | None:
     table = lexicon()
     known = {"third": table.third, "gerund": table.gerund, "plain": table.verbs, "past": table.past}
     for number, word in enumerate(words):
-        if any(form != "is" and word in known[form] for form in forms):
-            return number
+        for form in forms:
+            if form != "is" and word in known[form]:
+                return number
         if "is" in forms and word in ("is", "are") and number + 1 < len(words):
             return number
         if not (word in ("also", "again") or (word.endswith("ly") and len(word) > 2)):

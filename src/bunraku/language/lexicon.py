@@ -135,10 +135,9 @@ class Phrases:
             if part in _SIGNS:
                 continue
             plain, optional = part.strip("!=?"), part[-1] == "?"
-            if plain in self.forms:
-                words = self.forms[plain]
-            else:
-                words = frozenset[str]().union(*[self.forms.get(word, (word,)) for word in plain.split("/")])
+            words = self.forms.get(plain, frozenset())
+            for word in plain.split("/") if plain not in self.forms else ():
+                words = words.union(self.forms.get(word, (word,)))
             if part[0] == "!" and not variants[0]:
                 before = words
             elif part[0] in "!=":
@@ -358,6 +357,8 @@ def actions_of(text: str) -> tuple[str, ...]:
 
 def uncovered(actions: Collection[str]) -> list[str]:
     """Those of some actions that no other of them says already, without vague ones where others are clear."""
+    if not actions:
+        return []
     rows, covered = lexicon().actions, set[str]()
     for action in actions:
         if action in rows:

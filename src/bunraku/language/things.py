@@ -142,7 +142,10 @@ def things() -> Things:
 
 
 def _kind(name: str, row: dict[str, Any], of: Kind) -> Kind:
-    own = {key: row[key] for key in ("height", "head", "surface", "hands", "place") if key in row}
+    own = {}
+    for key in ("height", "head", "surface", "hands", "place"):
+        if key in row:
+            own[key] = row[key]
     deeds = of.deeds | row.get("deeds", {})
     for what, deed in row.get("deeds", {}).items():
         if not deed:
