@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from bunraku.errors import OptionError, WeightsError
-from bunraku.language.captions import conjugate, is_known_clause, known_phrases
+from bunraku.language.captions import conjugate, known_phrases
 from bunraku.language.understood import check_understood, understood
 from bunraku.language.vocabulary import corrected, own_words, slips, write_own_words
 
@@ -104,7 +104,7 @@ def test_nearest_sentences_are_near():
     assert any("jump" in sentence for sentence in near)
     assert any(re.search("box|punch|kick", sentence) for sentence in understood("kikboxxing zzz").nearest)
     for sentence in (*near, *understood("asdf").nearest):
-        assert understood(sentence).ok and is_known_clause(sentence.removeprefix("a person "))
+        assert understood(sentence).ok
 
 
 def test_other_languages_are_put_into_english_with_places_in_the_sentence():
@@ -210,5 +210,5 @@ def test_words_of_clips_of_ones_own_are_understood(tmp_path):
 def test_a_list_that_is_none_is_refused(tmp_path, monkeypatch, text):
     (tmp_path / "own_words.json").write_text(text)
     monkeypatch.setenv("BUNRAKU_WEIGHTS", str(tmp_path))
-    with pytest.raises(WeightsError, match="no list of words"):
+    with pytest.raises(WeightsError, match="not a list of words"):
         own_words.__wrapped__()

@@ -23,7 +23,7 @@ from bunraku.language.lexicon import actions_of, lexicon, uncovered, words_of
 from bunraku.language.prompts import plain_words
 
 __all__ = [
-    "FIELDS", "KIND", "Frame", "Reader", "dequantised", "frames_of", "load_reader", "nearest",
+    "FIELDS", "KIND", "SURE", "Frame", "Reader", "dequantised", "frames_of", "load_reader", "nearest",
 ]  # fmt: skip
 
 KIND = "reader"
@@ -97,7 +97,8 @@ class Reader:
         actions: Their names, in the order of the heads.
         weights: Of the changes, "layers.0.query.down" and so on, and of the heads, matrices (in, out).
         shares: What makes a probability, before the logistic function: the factor of what a head says; what is added
-            where the lexicon's phrases say the action; what more if it is the network's likeliest, too; what always.
+            where the lexicon's phrases say the action; what more if it is the network's likeliest, or says that one
+            already; what always.
         instead: The action of the lexicon that is nearest to each that the lexicon does not have; "" for none.
         encoder: Whose layers are changed.
     """
@@ -157,8 +158,9 @@ class Reader:
             return []
         logits, weight, fields = self.heard(text)
         factor, by_phrase, by_both, always = self.shares
+        rows, likeliest = lexicon().actions, self.actions[int(logits.argmax())]
         said = np.isin(self.actions, phrased)
-        agreed = said & (logits == logits.max())
+        agreed = np.isin(self.actions, [action for action in phrased if likeliest in (action, *rows[action].covers)])
         sure = sigmoid(factor * logits + by_phrase * said + by_both * agreed + always)
         at = np.arange(len(weight)) @ weight
         frames = []
@@ -167,7 +169,7 @@ class Reader:
         least = SURE if sure.max() >= SURE else max(sure.max(), LIKELIEST)
         for action in uncovered([self.actions[index] for index in np.flatnonzero(sure >= least)]):
             index = self.actions.index(action)
-            shown = action if action in lexicon().actions else self.instead.get(action, "")
+            shown = action if action in rows else self.instead.get(action, "")
             frames.append(Frame(action, shown, min(float(sure[index]), 1.0), float(at[index]), _fields(fields[index])))
         return sorted(frames, key=lambda frame: frame.at)
 

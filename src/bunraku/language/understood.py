@@ -99,9 +99,10 @@ def understood(prompt: str) -> Understanding:
         else:
             found = _english(plain, "en" if translation.concepts else translation.language)
     if not found.ok and found.english:
-        from bunraku.language.reader import frames_of  # numpy, which plain sentences need not
+        from bunraku.language.reader import SURE, load_reader  # numpy, which plain sentences need not
 
-        found = replace(found, ok=bool(frames_of(found.english)))
+        ok = any(frame.probability >= SURE for frame in load_reader().read(found.english))
+        found = replace(found, ok=ok)
     denied, rest = _denied(found.english)
     if denied:
         found = replace(found, denied=denied, ok=found.ok and says_action(rest))
