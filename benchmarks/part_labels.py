@@ -3,21 +3,23 @@
     python benchmarks/part_labels.py files FILES           intersection over union by area, on MMD and VRM files
     python benchmarks/part_labels.py nothing ARCHIVE       area marked on the files of apparel_nothing.txt
 
-The first line of each file is the network alone, without joints or handles: what hangs. Then what ships: its network
-vertex by vertex, and the rules on whole parts (`apparel/hanging.py`), both of which know the joints of the file's rig.
-The list of files is `part_files.md`.
+The first number of each file is the network alone, without joints or handles: what hangs. Then what ships: its network
+vertex by vertex, and with the rules on whole parts (`apparel/hanging.py`), by handles that are predicted for the bare
+mesh, and by the joints of the file's rig. The list of files is `part_files.md`.
 """
 
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from bunraku.apparel.mask import apparel_mask
+from bunraku.core.character import Character
 from bunraku.files import load_character
-from bunraku_lab.nn.part_inference import PARTS, find_parts
+from bunraku_lab.nn.part_inference import PARTS, FoundParts, find_parts
 
 LIST = Path(__file__).with_name("apparel_nothing.txt")
 
@@ -33,11 +35,12 @@ def shares(label: np.ndarray, areas: np.ndarray) -> str:
     return ", ".join(f"{name} {100 * part:.0f}" for name, part in zip(PARTS, area, strict=True) if part > 0.005)
 
 
-def files(paths: list[Path], checkpoint: Path | None, shipped: bool) -> None:
+def files(paths: list[Path], checkpoint: Path | None) -> None:
     """Print a row for each file."""
     from bunraku.apparel.body import UnifiedBody
     from bunraku.apparel.learned.segmentation import find_apparel
-    from bunraku.pipelines.clothes import separate_apparel
+    from bunraku.pipelines.animate import rig
+    from bunraku.pipelines.clothes import body_of_handles, separate_apparel
 
     rows = []
     for path in paths:
@@ -46,24 +49,16 @@ def files(paths: list[Path], checkpoint: Path | None, shipped: bool) -> None:
         if true is None or not true.any():
             print(f"{path.name}: no physics")
             continue
-        colors = None if character.colors is None else character.colors / 255
-        row = []
-        for tint in (None, colors):
-            found = find_parts(character.vertices, character.faces, tint, checkpoint)
-            row.append(agreement(found.mask, true, character.areas))
-        cloth = np.isin(found.label, [PARTS.index(name) for name in ("hair", "skirt", "cape", "sleeve", "tail")])
-        row.append(agreement(cloth, true, character.areas))
-        if shipped:
-            body = UnifiedBody.of(character)
-            alone = find_apparel(character.vertices, character.faces, body.joints).mask
-            row += [
-                agreement(alone, true, character.areas),
-                agreement(separate_apparel(character, body.joints, body.weights, None).apparel, true, character.areas),
-            ]
-        rows.append(row)
+        bare, file_body = replace(character, rig=None, avatar=None), UnifiedBody.of(character)
+        found = parts_of(character, checkpoint)
+        masks = [found.mask]
+        for weights, joints in (body_of_handles(bare, rig(bare)), (file_body.weights, file_body.joints)):
+            masks.append(find_apparel(bare.vertices, bare.faces, joints).mask)
+            masks.append(separate_apparel(bare, joints, weights, None).apparel)
+        rows.append([agreement(mask, true, character.areas) for mask in masks])
         print(
             f"{path.name:28s}",
-            " ".join(f"{value:.3f}" for value in row),
+            " ".join(f"{value:.3f}" for value in rows[-1]),
             f"true {100 * character.areas[true].sum() / character.areas.sum():.0f} %;",
             shares(found.label, character.areas),
             flush=True,
@@ -71,9 +66,14 @@ def files(paths: list[Path], checkpoint: Path | None, shipped: bool) -> None:
     print(
         f"{'mean':28s}",
         " ".join(f"{value:.3f}" for value in np.mean(rows, axis=0)),
-        "(hangs without colours, with colours, cloth and hair by label"
-        + (", shipped alone, shipped with rules)" if shipped else ")"),
+        "(part network; by predicted handles: shipped alone, with rules; by the file's joints: alone, with rules)",
     )
+
+
+def parts_of(character: Character, checkpoint: Path | None) -> FoundParts:
+    """What the part network says of a character with the colours that it has."""
+    colors = None if character.colors is None else character.colors / 255
+    return find_parts(character.vertices, character.faces, colors, checkpoint)
 
 
 def nothing(archive: Path, checkpoint: Path | None) -> None:
@@ -81,9 +81,7 @@ def nothing(archive: Path, checkpoint: Path | None) -> None:
     marked = []
     for line in LIST.read_text().split():
         character = load_character(archive / line)
-        colors = None if character.colors is None else character.colors / 255
-        found = find_parts(character.vertices, character.faces, colors, checkpoint)
-        areas = character.areas
+        found, areas = parts_of(character, checkpoint), character.areas
         marked.append(float(areas[found.mask].sum() / areas.sum()))
         print(f"{line:40s} hangs {100 * marked[-1]:.1f} %;", shares(found.label, areas), flush=True)
     print(f"mean {100 * np.mean(marked):.2f} %, worst {100 * max(marked):.1f} %")
@@ -94,10 +92,9 @@ def main() -> None:
     parser.add_argument("what", choices=("files", "nothing"))
     parser.add_argument("paths", type=Path, nargs="+")
     parser.add_argument("--checkpoint", type=Path)
-    parser.add_argument("--no-shipped", action="store_true")
     asked = parser.parse_args()
     if asked.what == "files":
-        files(asked.paths, asked.checkpoint, not asked.no_shipped)
+        files(asked.paths, asked.checkpoint)
     else:
         nothing(asked.paths[0], asked.checkpoint)
 

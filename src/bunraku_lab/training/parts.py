@@ -42,11 +42,11 @@ class PartTrainConfig(StepSettings):
     out: Path = Path("runs/parts")
     shards: Path = Path("runs/parts/data")
     minutes: float = 60.0
-    rate: float = 8e-4
+    rate: float = 6e-4
     batch: int = 8
     warmup: int = 150
     decay: float = 0.996
-    validate_every: int = 200
+    validate_every: int = 400
     weight_decay: float = 0.02
     refresh: int = 50
     overlap: float = 0.5
@@ -232,7 +232,7 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("shards", type=Path)
     parser.add_argument("--minutes", type=float, default=60)
-    parser.add_argument("--rate", type=float, default=8e-4)
+    parser.add_argument("--rate", type=float, default=6e-4)
     parser.add_argument("--batch", type=int, default=8)
     asked = parser.parse_args()
     config = PartTrainConfig(

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bunraku.errors import CharacterError, WeightsError
+from bunraku.files.samples import sample_character
 from bunraku_lab.nn.part_inference import CARRIERS, PARTS, PartConfig, find_parts, load_parts
 from bunraku_lab.nn.part_points import CENTRES, FEATURES, POINTS, TOKENS, loose_parts, part_points, point_features
 
@@ -84,3 +85,13 @@ def test_what_is_wrong_is_said(tmp_path, checkpoint):
         find_parts(vertices * np.nan, faces, checkpoint=checkpoint)
     with pytest.raises(WeightsError, match="no such checkpoint"):
         find_parts(vertices, faces, checkpoint=tmp_path / "none.safetensors")
+
+
+def test_the_dancers_skirt_hangs_and_the_dog_has_nothing_on():
+    dancer, dog = (sample_character(name) for name in ("dancer", "dog"))
+    found = find_parts(dancer.vertices, dancer.faces)
+    skirt = (found.label == PARTS.index("skirt")) & (dancer.areas > 0)
+    assert dancer.areas[skirt].sum() > 0.2 * dancer.areas.sum()
+    assert found.mask[skirt].mean() > 0.8
+    marked = find_parts(dog.vertices, dog.faces).mask
+    assert dog.areas[marked].sum() < 0.02 * dog.areas.sum()

@@ -7,7 +7,7 @@ import numpy as np
 from bunraku_lab.datasets.labelled.figures import CARRIER, PART, UNKNOWN, Labelled
 from bunraku_lab.synthetic.families.model import block_mesh
 from bunraku_lab.synthetic.fields import ball
-from bunraku_lab.synthetic.surfaces import ring_mesh, sheet_mesh, strand, unit
+from bunraku_lab.synthetic.surfaces import sheet_faces, strand, unit
 
 __all__ = ["with_accessories"]
 
@@ -44,17 +44,19 @@ def _headphones(centre: np.ndarray, half: np.ndarray, rng: np.random.Generator) 
 
 def _frill(at: np.ndarray, radius: float, wide: float, rng: np.random.Generator) -> Mesh:
     """A ring in folds, from lying flat to hanging straight down."""
-    waves, deep, tilt = int(rng.integers(6, 20)), rng.uniform(0.03, 0.25) * wide, rng.uniform(0.1, 1.4)
-    profile = np.stack(
-        [radius + wide * np.cos(tilt) * np.linspace(0, 1, 4), -wide * np.sin(tilt) * np.linspace(0, 1, 4)], 1
-    )
+    waves, tilt = int(rng.integers(6, 20)), rng.uniform(0.1, 1.4)
+    return _ring(at, radius, wide, tilt, waves, rng.uniform(0.03, 0.25) * wide)
 
-    def shape(r: np.ndarray, a: np.ndarray, down: np.ndarray) -> np.ndarray:
-        r = r + deep * down * np.sin(waves * a)
-        return np.stack([r * np.sin(a), deep * down * np.cos(waves * a), r * np.cos(a)], axis=-1)
 
-    points, faces = sheet_mesh(profile, 0.04 * wide, 4 * waves, shape)
-    return points + at, faces
+def _ring(at: np.ndarray, radius: float, wide: float, tilt: float, waves: int = 8, deep: float = 0.0) -> Mesh:
+    """A band about +Y with two walls, which goes out and down by its tilt [rad], in folds so deep [m]."""
+    angle = np.arange(4 * waves) * np.pi / (2 * waves)
+    rows = []
+    for inset, down in [*((0.0, share) for share in (0, 0.33, 0.66, 1)), *((0.04, share) for share in (1, 0.5, 0))]:
+        r = radius + wide * (np.cos(tilt) * down - inset) + deep * down * np.sin(waves * angle)
+        y = deep * down * np.cos(waves * angle) - wide * (np.sin(tilt) * down + inset)
+        rows.append(at + np.stack([r * np.sin(angle), y, r * np.cos(angle)], axis=1))
+    return np.concatenate(rows), sheet_faces(len(rows), len(angle), wrap=True)
 
 
 def with_accessories(figure: Labelled, rng: np.random.Generator) -> Labelled:
@@ -101,7 +103,7 @@ def with_accessories(figure: Labelled, rng: np.random.Generator) -> Labelled:
                     made = [(_frill(middle, radius, half[0] * u(0.2, 1.0), rng), 0)]
                 else:
                     size = half[0] * u(0.05, 0.3)
-                    made = [(ring_mesh(middle, radius, (0.5 * size, size)), 0)]
+                    made = [(_ring(middle, radius, size, 1.4), 0)]
             else:
                 way = np.array([0, 0, 1.0 if kind == "collar bow" else -1.0])
                 made = _bow(np.array([centre[0], y, z]), way, half[0] * u(0.2, 1.6), rng)
