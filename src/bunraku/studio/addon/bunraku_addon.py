@@ -231,9 +231,6 @@ def hang(context, targets, data, prompt):
         target.matrix_world = matrix
         target.modifiers.new("Bunraku", "ARMATURE").object = armature
     armature.data.pose_position = "POSE"
-    if armature.animation_data and armature.animation_data.action:
-        armature.animation_data.action.name = prompt[:60]
-        context.scene.frame_end = max(context.scene.frame_end, int(armature.animation_data.action.frame_range[1]))
     gone = [item for item in made if item is not armature]
     gone += [item for item in earlier if not any(item in armatures_of(mesh) for mesh in bpy.data.objects)]
     kept = [item for item in (*chosen, *targets) if item not in gone]
@@ -243,6 +240,9 @@ def hang(context, targets, data, prompt):
         bpy.data.objects.remove(item)
         if action is not None and not action.users:
             bpy.data.actions.remove(action)
+    if armature.animation_data and armature.animation_data.action:
+        armature.animation_data.action.name = prompt[:60]
+        context.scene.frame_end = max(context.scene.frame_end, int(armature.animation_data.action.frame_range[1]))
     select(context, kept, active)
     return armature
 
