@@ -76,7 +76,8 @@ def find_scene(character: Character) -> Scene:
     areas = np.bincount(group, pieces.areas[body])
     order = np.argsort(-areas, kind="stable")
     main = body[group == order[0]]
-    figures, rest = [main], []
+    figures: list[np.ndarray] = [main]
+    rest: list[np.ndarray] = []
     for number in order[1:]:
         own = body[group == number]
         (figures if pieces.peers(own, main, areas[number] / areas[order[0]]) else rest).append(own)

@@ -138,7 +138,7 @@ def _parse(kind: type, verb: tuple[str, ...], words: list[str], text: str) -> An
     import tyro
     from tyro import _strings
 
-    _strings.remove_single_line_breaks = _reflowed  # its own keeps the breaks of docstrings that are indented
+    _strings.remove_single_line_breaks = _reflowed  # type: ignore[assignment]  # its own keeps the breaks of docstrings that are indented
     config = (tyro.conf.FlagCreatePairsOff, tyro.conf.PositionalMetavarFromFieldName)
     _check_once(kind, words)
     return tyro.cli(

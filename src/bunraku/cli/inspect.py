@@ -287,7 +287,7 @@ def _body(character: Character, up: str, front: str) -> dict[str, Any]:
     except (WeightsError, CharacterError) as error:
         return {"body": None, "body_note": str(error)}
     parts = [{"name": part.name, "area": round(part.area, 4), "clear": round(part.sure, 3)} for part in found.parts]
-    facts = {"beside": lines} if lines else {}
+    facts: dict[str, Any] = {"beside": lines} if lines else {}
     facts |= {"body": found.plan.words, "parts": parts, "cannot": list(found.cannot)}
     return facts if moving_rig(character) is not None else facts | shape_facts(anatomy)  # the file has no apparel
 

@@ -204,7 +204,7 @@ class Animator:
     @one_thread()
     def steered(
         self, body: Body, request: Request, change: Callable[[HandleMotion], HandleMotion]
-    ) -> Animation | RigAnimation:
+    ) -> AnimatedCharacter:
         """An animation whose motion of the reference body is changed before it is fitted to the body."""
         sentences, as_people = adapt_to_body([request.parsed], body.anatomy)
         drawing = self._drawing(request, body.feature, as_people)

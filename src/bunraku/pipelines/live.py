@@ -201,7 +201,9 @@ class Live(Iterator[AnimatedCharacter]):
                 past = past.take(slice(None, cut))
                 constraints = Constraints((Follow(past.take(slice(-PAST, None))),))
             request = replace(said.with_seed(self._sampling.seed + self._windows), constraints=constraints)
-            made = self._animator.steered(self._body, request, lambda motion: _steered(motion, direction))
+            made: AnimatedCharacter = self._animator.steered(
+                self._body, request, lambda motion: _steered(motion, direction)
+            )
             with self._changed:
                 self._windows += 1
                 if past is not None:

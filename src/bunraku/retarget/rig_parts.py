@@ -317,7 +317,9 @@ def _followed(character: Character) -> np.ndarray:
     rig, model = character.rig, _mmd_rig(character)
     assert rig is not None
     out = np.array(rig.parents)
-    for bone in [] if model is None else model.order:
+    if model is None:
+        return out
+    for bone in model.order:
         append = model.bones[bone].append
         if append is not None and append.rotation and append.ratio > 0 and bone not in line_up(append.bone, out):
             out[bone] = append.bone

@@ -122,6 +122,7 @@ class Live(LiveForm):
         if self.sentence:
             live.say(self.sentence)
         first, made = live.window(round(self.seconds * live.fps), self.start)
+        assert isinstance(made, Animation | RigAnimation)  # no skeleton was asked for
         return {"first": first, "clip": packed_clip(made)}
 
 

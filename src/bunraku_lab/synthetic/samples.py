@@ -43,6 +43,7 @@ def make_sample(name: str, detail: float = 1.0, *, rigged: bool = False) -> Char
     }
     if detail == 1:
         shipped = sample_character(name)
+        assert shipped.colors is not None
         kept |= {"vertices": shipped.vertices, "faces": shipped.faces, "colors": shipped.colors}
     transforms = np.tile(np.eye(4), (len(kept["names"]), 1, 1))
     transforms[:, :3, 3] = kept["positions"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -130,9 +130,36 @@ def _outward(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
     return (vertices, faces) if np.einsum("ij,ij->", a, np.cross(b, c)) > 0 else (vertices, faces[:, ::-1].copy())
 
 
-def ring_mesh(centre: Sequence[float], radius: float | tuple[float, float], thickness: float | tuple[float, float],
-around: int = 32,
-              section: int = 8, turn: np.ndarray | None = None) -> Mesh:  # fmt: skip
+def sheet_mesh(
+    profile: np.ndarray, thickness: float, around: int,
+    shape: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
+) -> Mesh:  # fmt: skip
+    """A thin closed shell that hangs around +Y, such as a frill: an outer and an inner wall joined at both edges.
+
+    Args:
+        profile: Radius and height down the outer wall [m], shape (P, 2).
+        thickness: Distance of the two walls [m].
+        around: Vertices around.
+        shape: Maps radius, angle (0 at +Z, pi/2 at +X) and share of the way down (0..1), each (P, around), to points
+            (P, around, 3); the height of the profile is added to them.
+    """
+    angle = 2 * np.pi * np.arange(around) / around
+    down = np.linspace(0, 1, len(profile))
+    walls = []
+    for inset in (0.0, thickness):
+        r, a = np.broadcast_arrays(profile[:, :1] - inset, angle[None])
+        points = shape(r, a, np.broadcast_to(down[:, None], r.shape))
+        points[..., 1] += profile[:, 1:]
+        walls.append(points)
+    rows = np.concatenate([walls[0], walls[1][::-1]])
+    faces = sheet_faces(len(rows) + 1, around, wrap=True) % (len(rows) * around)
+    return _outward(rows.reshape(-1, 3), faces)
+
+
+def ring_mesh(
+    centre: np.ndarray | Sequence[float], radius: float | tuple[float, float], thickness: float | tuple[float, float],
+    around: int = 32, section: int = 8, turn: np.ndarray | None = None,
+) -> Mesh:  # fmt: skip
     """A torus about +Y (before `turn`) with radii along X and Z, its section thick across and high along Y [m]."""
     rx, rz = (radius, radius) if isinstance(radius, (int, float)) else radius
     across, high = (thickness, thickness) if isinstance(thickness, (int, float)) else thickness
@@ -144,8 +171,8 @@ around: int = 32,
         + high * np.sin(b)[None, :, None] * np.array([0, 1.0, 0])
     )
     index = np.arange(around * section).reshape(around, section)
-    high = np.roll(index, -1, axis=0)
-    quads = np.stack([index, np.roll(index, -1, axis=1), np.roll(high, -1, axis=1), high], axis=-1).reshape(-1, 4)
+    above = np.roll(index, -1, axis=0)
+    quads = np.stack([index, np.roll(index, -1, axis=1), np.roll(above, -1, axis=1), above], axis=-1).reshape(-1, 4)
     vertices, faces = _outward(rows.reshape(-1, 3), np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]))
     return (vertices if turn is None else vertices @ turn.T) + np.asarray(centre, float), faces
 

@@ -71,7 +71,8 @@ class _Tree:
         stands.
         """
         sided = [bool(side) for side in self.sides]
-        limb, members_of = list(range(len(names))), {}
+        limb = list(range(len(names)))
+        members_of: dict[int, list[int]] = {}
         for joint in self.order:
             parent = self.parents[joint]
             if parent >= 0 and not self.sides[joint]:
@@ -296,11 +297,11 @@ def _trunk(tree: _Tree, out: np.ndarray) -> None:
             if heavy:
                 out[heavy[0]] = pelvis
                 _spread(heavy[1:], out)
-    above, below = tree.passed(tail), dict.fromkeys(tail, 0)
+    above, under = tree.passed(tail), dict.fromkeys(tail, 0)
     for joint in reversed(tree.order):
-        if joint in below:
-            below[joint] = max((1 + below[child] for child in tree.children[joint] if child in below), default=0)
-            out[joint] = _H["tail" if above[joint] < (above[joint] + below[joint] + 1) / 2 else "tail_tip"]
+        if joint in under:
+            under[joint] = max((1 + under[child] for child in tree.children[joint] if child in under), default=0)
+            out[joint] = _H["tail" if above[joint] < (above[joint] + under[joint] + 1) / 2 else "tail_tip"]
 
 
 def _without_head(tree: _Tree, spine: list[int], out: np.ndarray) -> list[int]:

@@ -115,5 +115,5 @@ def with_accessories(figure: Labelled, rng: np.random.Generator) -> Labelled:
 def _worn(mesh: Mesh, part: str, carrier: str, hangs: int, figure: Labelled, rng: np.random.Generator) -> Labelled:
     count = len(mesh[0])
     colors = None if figure.colors is None else np.tile(rng.uniform(0.05, 0.95, 3), (count, 1))
-    labels = (np.full(count, number, np.int8) for number in (PART[part], hangs, CARRIER[carrier]))
-    return Labelled(mesh[0], mesh[1], *labels, colors)
+    labels = [np.full(count, number, np.int8) for number in (PART[part], hangs, CARRIER[carrier])]
+    return Labelled(mesh[0], mesh[1], labels[0], labels[1], labels[2], colors)
