@@ -203,7 +203,8 @@ def test_a_list_of_prompts_gives_a_list_of_animations(person):
     walk, wave = animate(person, [PROMPT, "waves"], **how)
     alone = animate(person, "waves", **how)
     np.testing.assert_allclose(wave.motion.rotations, alone.motion.rotations, atol=1e-4)
-    assert repr(walk) == "<Animation of 'person': 6,601 vertices, 30 parts, 0.5 s>" and animate(person, []) == []
+    vertices = f"{len(person.vertices):,} vertices"
+    assert repr(walk) == f"<Animation of 'person': {vertices}, 30 parts, 0.5 s>" and animate(person, []) == []
     assert max(len(repr(one)) for one in (person, walk.handles, walk.motion, walk.reference)) < 80
 
 
@@ -215,8 +216,9 @@ def test_the_number_of_threads_changes_no_byte(tmp_path):
     )
     for threads in ("1", "4"):
         environment = {**os.environ, "OPENBLAS_NUM_THREADS": threads, "OMP_NUM_THREADS": threads}
-        subprocess.run([sys.executable, "-c", code, str(tmp_path / f"{threads}.glb")], check=True, env=environment)
-    assert (tmp_path / "1.glb").read_bytes() == (tmp_path / "4.glb").read_bytes()
+        (tmp_path / threads).mkdir()
+        subprocess.run([sys.executable, "-c", code, str(tmp_path / threads / "a.glb")], check=True, env=environment)
+    assert (tmp_path / "1" / "a.glb").read_bytes() == (tmp_path / "4" / "a.glb").read_bytes()
 
 
 def test_what_does_not_fit_together_is_refused(walk):
