@@ -2,7 +2,7 @@
 import { readFileSync, readdirSync } from "node:fs";
 import { defineConfig } from "vite";
 
-const INSIDE = ["three", "preact", "@preact/signals", "@preact/signals-core", "fflate"];
+const INSIDE = ["three", "preact", "@preact/signals", "@preact/signals-core", "fflate", "@fontsource-variable/figtree"];
 
 function licences() {
   return {

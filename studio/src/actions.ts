@@ -4,7 +4,7 @@ import { bytes, send, upload } from "./api";
 import { EMPTY, MOST_LETTERS, readView, writeReplay, type Replay } from "./schema";
 import { scriptOf, tooLong, wrongWith } from "./script";
 import {
-  about, attempt, change, character, characters, comparing, doc, ended, newest, ownTakes, pause, remember, say, take, takes,
+  about, attempt, change, character, characters, comparing, doc, ended, newest, ownTakes, pause, remember, retract, say, settled, take, takes,
   time, uploading, painting,
 } from "./state";
 import type { Character, Doc, LibraryClip, Sentence, Settings, Take } from "./types";
@@ -42,24 +42,13 @@ export function asked(now: Doc): Record<string, unknown> {
 
 /** Takes that were made: shown with their sentences, and undone by giving them up. */
 function settle(name: string, made: Made, script: Sentence[]): void {
-  const before = doc.value;
-  const first = made.takes[0] ?? null;
-  const sentence = script.length === before.script.length ? before.sentence : 0;
-  doc.value = { ...before, take: first, script, sentence };
-  comparing.value = made.takes.length > 1;
-  const after = doc.value;
-  remember({
-    name,
-    undo: async () => {
-      doc.value = before;
-      comparing.value = false;
-      await Promise.all(made.takes.map((id) => send("DELETE", `/takes/${id}`).catch(() => undefined)));
-    },
-    redo: async () => {
-      await Promise.all(made.takes.map((id) => send("PATCH", `/takes/${id}`, { deleted: false })));
-      doc.value = after;
-    },
-  });
+  const sentence = script.length === doc.value.script.length ? doc.value.sentence : 0;
+  const values = { take: made.takes[0] ?? null, script, sentence };
+  settled(name, values, { comparing: made.takes.length > 1 }, (there) =>
+    Promise.all(
+      made.takes.map((id) => (there ? send("PATCH", `/takes/${id}`, { deleted: false }) : send("DELETE", `/takes/${id}`).catch(() => undefined))),
+    ),
+  );
 }
 
 export async function generate(force = false): Promise<void> {
@@ -158,7 +147,7 @@ const played = (clip: LibraryClip): Sentence => ({ text: clip.sentence, seconds:
 
 /** Make a take of a clip of the library alone. */
 export async function playClip(clip: LibraryClip): Promise<void> {
-  change("play a clip", { script: [played(clip)], sentence: 0, path: [] });
+  change("play a clip", { script: [played(clip)], sentence: 0, path: [] }, { changing: false });
   pause();
   await generate();
 }
@@ -222,22 +211,27 @@ async function giveUp(kind: "takes" | "characters", id: string, name: string): P
 export const deleteTake = (id: string): Promise<void> => giveUp("takes", id, "delete a take");
 export const deleteCharacter = (id: string): Promise<void> => giveUp("characters", id, "delete a character");
 
-function switchTo(id: string | null): void {
+/** What the document holds where a character is chosen. */
+function ofCharacter(id: string | null): Partial<Doc> {
   const first = newest(takes.value, id);
-  doc.value = { ...doc.value, character: id, take: first?.id ?? null, ...sentencesOf(first?.id ?? null), pins: [], poses: [], path: [], span: null, apparel: "rigid" };
+  return { character: id, take: first?.id ?? null, ...sentencesOf(first?.id ?? null), pins: [], poses: [], path: [], span: null, apparel: "rigid" };
+}
+
+function switchTo(id: string | null): void {
+  doc.value = { ...doc.value, ...ofCharacter(id) };
   comparing.value = false;
   painting.value = false;
   time.value = 0;
 }
 
 export function select(id: string): void {
-  const before = doc.value;
-  if (before.character === id) {
+  if (doc.value.character === id) {
     return;
   }
-  switchTo(id);
-  const after = doc.value;
-  remember({ name: "choose a character", undo: () => void (doc.value = before), redo: () => void (doc.value = after) });
+  pause();
+  change("choose a character", ofCharacter(id), { comparing: false, changing: false });
+  painting.value = false;
+  time.value = 0;
 }
 
 /** Turn a character, change its unit or where its handles come from. */
@@ -256,20 +250,42 @@ interface Opened {
 }
 
 async function opened(made: Opened): Promise<void> {
-  characters.value = [...characters.value.filter((one) => one.id !== made.character.id), made.character];
-  select(made.character.id);
+  const { id } = made.character;
+  characters.value = [...characters.value.filter((one) => one.id !== id), made.character];
+  select(id);
   if (wrongWith(doc.value.script)) {
     doc.value = { ...doc.value, script: EMPTY.script, sentence: 0 }; // what is opened moves by itself
   }
-  await ended(made.job);
+  try {
+    await ended(made.job);
+  } catch (error) {
+    // What cannot be read is not left chosen: the page goes back to what it showed.
+    if (doc.value.character === id) {
+      retract("choose a character");
+    }
+    await send("DELETE", `/characters/${id}`).catch(() => undefined);
+    throw error;
+  }
 }
 
-/** Open a sample and let it move. */
+const sampling = new Set<string>(); // samples that are being opened
+
+/** Open a sample and let it move; one that is open already is chosen. */
 export async function sample(name: string): Promise<void> {
+  const there = characters.value.find((one) => one.sample === name && one.state === "ready");
+  if (there) {
+    select(there.id);
+    return;
+  }
+  if (sampling.has(name)) {
+    return;
+  }
+  sampling.add(name);
   await attempt(async () => {
     await opened(await send<Opened>("POST", `/characters?sample=${encodeURIComponent(name)}`));
     await generate();
   });
+  sampling.delete(name);
 }
 
 /** How apparel moves, as an address says it. */

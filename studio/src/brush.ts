@@ -3,6 +3,7 @@
 
 import { Vector3 } from "three";
 import type { Model } from "./model";
+import { copiesOf } from "./smooth";
 import type { Worn } from "./types";
 
 export function parseWorn(data: ArrayBuffer): Worn {
@@ -61,7 +62,8 @@ export class Surface {
     const spot = new Vector3();
     for (const skin of model.skins) {
       const geometry = model.bare.get(skin) ?? skin.geometry;
-      const count = geometry.getAttribute("position").count;
+      const copies = copiesOf(geometry);
+      const count = geometry.getAttribute("position").count - copies.length;
       const own = worn.rows.get(model.primitives.get(skin) ?? "");
       if (!own || own.length !== count) {
         continue;
@@ -73,9 +75,10 @@ export class Surface {
         vertices.push(own[row] ?? 0);
       }
       const { index } = geometry;
-      const corners = index ? index.count : count;
+      const corners = index ? index.count : count; // copies are only reached by an index
       for (let corner = 0; corner < corners; corner += 1) {
-        triangles.push(start + (index ? index.getX(corner) : corner));
+        const row = index ? index.getX(corner) : corner;
+        triangles.push(start + (row < count ? row : (copies[row - count] ?? 0)));
       }
     }
     this.places = Float32Array.from(places);

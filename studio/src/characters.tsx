@@ -1,5 +1,6 @@
 // Characters as cards, what was guessed of the one that is shown, and the samples.
 
+import { signal } from "@preact/signals";
 import { useEffect, useRef, useState } from "preact/hooks";
 import { deleteCharacter, openAsMotion, repair, sample, select } from "./actions";
 import { Apparel } from "./apparel";
@@ -54,7 +55,7 @@ function Chips({ one }: { one: Character }) {
   const chips: preact.ComponentChildren[] = [];
   const { axes, unit, settings } = one;
   const free = running.value.length === 0;
-  if (axes?.other && (axes.sure < 0.97 || settings.up !== "auto")) {
+  if (axes?.other && !one.sample && (axes.sure < 0.97 || settings.up !== "auto")) {
     const [up, front] = axes.other;
     chips.push(
       <button key="axes" class="chip" disabled={!free} onClick={() => void repair(one, { up, front })} title="turn it">
@@ -145,9 +146,8 @@ function Fit({ one }: { one: Character }) {
   );
   const axes = ["auto", "+x", "-x", "+y", "-y", "+z", "-z"];
   return (
-    <details open={unsure(one)}>
+    <details>
       <summary>how it stands</summary>
-      {unsure(one) && <Fronts one={one} />}
       <div class="fields">
         {choice("up", axes)}
         {choice("front", axes)}
@@ -158,7 +158,7 @@ function Fit({ one }: { one: Character }) {
 }
 
 /** Whether its front was guessed and might be another. */
-const unsure = (one: Character): boolean => Boolean(one.axes?.other) && (one.axes?.sure ?? 1) < 0.97 && one.settings.front === "auto";
+const unsure = (one: Character): boolean => !one.sample && Boolean(one.axes?.other) && (one.axes?.sure ?? 1) < 0.97 && one.settings.front === "auto";
 
 function Picture({ one }: { one: Character }) {
   const [url, setUrl] = useState("");
@@ -172,8 +172,11 @@ function Picture({ one }: { one: Character }) {
       .catch(() => undefined);
     return () => URL.revokeObjectURL(made);
   }, [one.id, one.picture]);
-  return url ? <img src={url} alt="" width={48} height={36} /> : <span class="blank" aria-hidden="true" />;
+  return url ? <img src={url} alt="" width={56} height={42} /> : <span class="blank" aria-hidden="true" />;
 }
+
+/** Whether what a body is made of is unfolded. */
+const body = signal(false);
 
 export function Characters() {
   const motion = useRef<HTMLInputElement>(null);
@@ -182,7 +185,7 @@ export function Characters() {
     <section class="cast" aria-label="characters">
       <div class="panel">
         <p class="hint">
-          Drop a mesh, a VRM, a PMX (as ZIP or folder), a motion (BVH, VMD, VRMA, AMASS) or a project anywhere.
+          Drop a character, a motion or a project anywhere on the page.
         </p>
         <ul class="list">
           {characters.value.map((one) => (
@@ -192,7 +195,7 @@ export function Characters() {
                 <span>{one.name}</span>
                 <small>
                   {one.state === "ready"
-                    ? `${one.vertices?.toLocaleString()} vertices · ${one.height?.toPrecision(3)} m`
+                    ? `${one.height?.toPrecision(3)} m tall`
                     : one.state === "opening"
                       ? "opening…"
                       : one.error || one.state}
@@ -207,6 +210,9 @@ export function Characters() {
         {now?.state === "ready" && (
           <>
             <Chips one={now} />
+            {unsure(now) && <Fronts one={now} />}
+            <details id="body" open={body.value} onToggle={(event) => (body.value = event.currentTarget.open)}>
+            <summary>body, hair and clothes</summary>
             <Fit one={now} />
             <div class="fields">
               <label class="field">
@@ -269,6 +275,7 @@ export function Characters() {
                 }}
               />
             </p>
+            </details>
           </>
         )}
       </div>

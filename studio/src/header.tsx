@@ -22,7 +22,7 @@ export function Header() {
         Bunraku <span>studio</span>
       </h1>
       <button id="open" onClick={() => files.current?.click()}>
-        Open…
+        Open a file
       </button>
       <input
         ref={files}
@@ -38,35 +38,34 @@ export function Header() {
           }
         }}
       />
-      <button class="icon" aria-label="undo" title={canUndo.value ? `undo: ${canUndo.value} (Ctrl Z)` : "undo"} disabled={canUndo.value === null} onClick={() => void undo()}>
-        ↶
+      <button class="quiet" aria-label="undo" title={canUndo.value ? `undo: ${canUndo.value} (Ctrl Z)` : "undo"} disabled={canUndo.value === null} onClick={() => void undo()}>
+        Undo
       </button>
-      <button class="icon" aria-label="redo" title={canRedo.value ? `redo: ${canRedo.value} (Ctrl Shift Z)` : "redo"} disabled={canRedo.value === null} onClick={() => void redo()}>
-        ↷
+      <button class="quiet" aria-label="redo" title={canRedo.value ? `redo: ${canRedo.value} (Ctrl Shift Z)` : "redo"} disabled={canRedo.value === null} onClick={() => void redo()}>
+        Redo
       </button>
       <span class="fill" />
       {running.value.length > 0 && (
         <span class="muted" role="status">
-          {running.value.length} {running.value.length > 1 ? "jobs" : "job"}
+          making {running.value.length > 1 ? `${running.value.length} things` : "it"}
         </span>
       )}
       {!online.value && <span class="bad">not connected</span>}
-      <button id="export" aria-haspopup="dialog" disabled={!ready} onClick={() => (exporting.value = true)}>
-        Export…
+      <button id="export" class="main" aria-haspopup="dialog" disabled={!ready} onClick={() => (exporting.value = true)}>
+        Export
       </button>
       <button
-        class="icon"
-        aria-label={theme.value === "dark" ? "light colours" : "dark colours"}
-        title="light or dark"
+        class="quiet"
+        id="theme"
         onClick={() => {
           theme.value = theme.value === "dark" ? "light" : "dark";
           localStorage.setItem("bunraku-theme", theme.value);
         }}
       >
-        ◐
+        {theme.value === "dark" ? "Light" : "Dark"}
       </button>
-      <button class="icon" aria-label="keys" title="?" aria-expanded={help.value} onClick={() => (help.value = !help.value)}>
-        ?
+      <button class="quiet" aria-label="keys" title="?" aria-expanded={help.value} onClick={() => (help.value = !help.value)}>
+        Keys
       </button>
     </header>
   );

@@ -4,9 +4,9 @@ import { effect, signal } from "@preact/signals";
 import { useEffect, useRef } from "preact/hooks";
 import { addClip, playClip } from "./actions";
 import { bytes, get, send } from "./api";
-import { parseClip, type Clip } from "./clip";
+import { parseClip } from "./clip";
 import { attempt, character, ended, say } from "./state";
-import { HIGH, Thumbs, WIDE } from "./thumbs";
+import { FRAMES, HIGH, Thumbs, WIDE } from "./thumbs";
 import type { Character, LibraryClip } from "./types";
 
 /** What a clip that is dragged carries. */
@@ -17,7 +17,6 @@ const found = signal<LibraryClip[]>([]);
 const words = signal("");
 const kind = signal("");
 const touched = signal<LibraryClip | null>(null);
-const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
 
 export const clipOf = (name: string): LibraryClip | undefined => all.value.find((one) => one.name === name);
 
@@ -41,46 +40,67 @@ async function look(): Promise<void> {
   }
 }
 
-// How clips look on a character, as far as they are known.
+// How clips look on a character: strips of moments, drawn once and kept by the browser.
 let thumbs: Thumbs | null = null;
 let owner = "";
-const known = new Map<string, Clip>();
+const pictures = new Map<string, ImageBitmap | HTMLCanvasElement>();
 const seen = new Map<string, HTMLCanvasElement>();
-const KEPT = 120;
+const TOGETHER = 12; // clips that are asked for at once: few, so that the first pictures come soon
+const STILL = 2; // the moment that a card shows which nobody points at
+let lively = "";
 let timer = 0;
+let filling = false;
 
-function show(name: string): void {
-  const canvas = seen.get(name);
-  const clip = known.get(name);
-  if (canvas && clip) {
-    thumbs?.cards.set(name, { canvas, clip });
+function show(name: string, frame = STILL): void {
+  const paper = seen.get(name)?.getContext("2d");
+  const picture = pictures.get(name);
+  if (paper && picture) {
+    paper.clearRect(0, 0, WIDE, HIGH);
+    paper.drawImage(picture, frame * WIDE, 0, WIDE, HIGH, 0, 0, WIDE, HIGH);
   }
 }
 
-/** Fetch what is seen and not known yet. */
+const shelf = (): Promise<Cache | null> => (globalThis.caches ? caches.open("bunraku-pictures").catch(() => null) : Promise.resolve(null));
+const place = (key: string, name: string): string => `/pictures/${key}/${name}`;
+
+/** Draw what is seen and has no picture yet: as it was kept, or from its clip. */
 async function fill(one: Character): Promise<void> {
-  const names = [...seen.keys()].filter((name) => !known.has(name)).slice(0, 48);
+  const key = owner;
+  const kept = await shelf();
+  const missing: string[] = [];
+  for (const name of [...seen.keys()].filter((each) => !pictures.has(each))) {
+    const known = await kept?.match(place(key, name));
+    const picture = known && (await createImageBitmap(await known.blob()).catch(() => null));
+    if (key !== owner) {
+      return;
+    }
+    if (picture) {
+      pictures.set(name, picture);
+      show(name);
+    } else {
+      missing.push(name);
+    }
+  }
+  const names = missing.slice(0, TOGETHER);
   if (!names.length) {
     return;
   }
-  const key = owner;
   const made = await send<{ job: string | null }>("POST", `/characters/${one.id}/clips`, { clips: names });
   if (made.job) {
     await ended(made.job);
   }
-  await Promise.all(
-    names.map(async (name) => {
-      const clip = parseClip(await bytes(`/characters/${one.id}/clips/${name}?v=${one.version}`));
-      if (key === owner) {
-        known.set(name, clip);
-        show(name);
-      }
-    }),
-  );
-  for (const name of [...known.keys()].slice(0, -KEPT)) {
-    if (!seen.has(name)) {
-      known.delete(name);
+  for (const name of names) {
+    const clip = parseClip(await bytes(`/characters/${one.id}/clips/${name}?v=${one.version}`));
+    const strip = key === owner ? thumbs?.strip(clip) : null;
+    if (!strip) {
+      return; // another character came meanwhile
     }
+    pictures.set(name, strip);
+    show(name);
+    strip.toBlob((data) => void (data && kept?.put(place(key, name), new Response(data)).catch(() => undefined)), "image/webp", 0.85);
+  }
+  if (missing.length > names.length) {
+    soon();
   }
 }
 
@@ -88,10 +108,13 @@ function soon(): void {
   clearTimeout(timer);
   timer = window.setTimeout(() => {
     const one = character.value;
-    if (one?.state === "ready" && thumbs) {
-      void attempt(() => fill(one));
+    if (filling) {
+      soon();
+    } else if (one?.state === "ready" && thumbs && `${one.id}:${one.version}` === owner) {
+      filling = true;
+      void attempt(() => fill(one)).then(() => (filling = false));
     }
-  }, 40);
+  }, 60);
 }
 
 async function wear(one: Character): Promise<void> {
@@ -99,16 +122,11 @@ async function wear(one: Character): Promise<void> {
   if (key === owner || !thumbs) {
     return;
   }
-  owner = key;
-  known.clear();
+  pictures.clear();
   const data = await bytes(`/characters/${one.id}/mesh.glb?skin=handles`);
-  if (key === owner) {
-    await thumbs.show(key, data, one.bounds);
-    for (const name of seen.keys()) {
-      show(name); // clips may have come before the mesh
-    }
-    soon();
-  }
+  await thumbs.show(key, data, one.bounds);
+  owner = key;
+  soon();
 }
 
 function Card({ clip, watch }: { clip: LibraryClip; watch: IntersectionObserver | null }) {
@@ -123,22 +141,25 @@ function Card({ clip, watch }: { clip: LibraryClip; watch: IntersectionObserver 
     return () => {
       watch.unobserve(here);
       seen.delete(clip.name);
-      thumbs?.cards.delete(clip.name);
     };
   }, [clip.name, watch]);
-  const lively = (): void => {
+  const point = (): void => {
     touched.value = clip;
-    if (thumbs) {
-      thumbs.lively = clip.name;
-    }
+    lively = clip.name;
+  };
+  const leave = (): void => {
+    lively = "";
+    show(clip.name);
   };
   return (
     <li
       class="clip"
       draggable
       onDragStart={(event) => event.dataTransfer?.setData(DRAGGED, clip.name)}
-      onPointerEnter={lively}
-      onFocusIn={lively}
+      onPointerEnter={point}
+      onPointerLeave={leave}
+      onFocusIn={point}
+      onFocusOut={leave}
     >
       <button class="card" id={`clip-${clip.name}`} title={clip.sentence} onClick={() => void playClip(clip)}>
         <canvas ref={canvas} width={WIDE} height={HIGH} aria-hidden="true" />
@@ -175,7 +196,6 @@ export function Library() {
           show(name);
         } else {
           seen.delete(name);
-          thumbs?.cards.delete(name);
         }
       }
       soon();
@@ -191,20 +211,13 @@ export function Library() {
         void attempt(() => wear(one));
       }
     });
-    let frame = 0;
-    const tick = (now: number): void => {
-      frame = requestAnimationFrame(tick);
-      if (!document.hidden) {
-        thumbs?.draw(now, still);
-      }
-    };
-    frame = requestAnimationFrame(tick);
+    const moving = setInterval(() => lively && show(lively, Math.floor(performance.now() / 180) % FRAMES), 90);
     return () => {
-      cancelAnimationFrame(frame);
+      clearInterval(moving);
       stop();
       thumbs?.forget();
       owner = "";
-      known.clear();
+      pictures.clear();
     };
   }, []);
   const kinds = [...new Set(all.value.map((one) => one.tags[0] ?? ""))];
@@ -245,7 +258,7 @@ export function Library() {
           </select>
         </div>
         <p class="hint" role="status">
-          {found.value.length ? "Click plays one; drag it, or +, onto the timeline." : "no clip is found; type it as a sentence below"}
+          {found.value.length ? "Press one to play it, or drag it onto the timeline." : "no clip is found; type it as a sentence below"}
         </p>
         <ul class="cards" ref={list}>
           {found.value.map((clip) => (

@@ -18,8 +18,8 @@ import { Prompt } from "./prompt";
 import { readReplay, type Replay } from "./schema";
 import { Stage, viewer } from "./stage";
 import {
-  about, aside, attempt, character, comparing, doc, drawing, follow, locked, notice, ownTakes, painting, playing, redo, start, take, time,
-  trouble, undo, warm,
+  about, aside, attempt, character, comparing, doc, drawing, follow, locked, notice, ownTakes, painting, playing, redo, sheet, side,
+  start, take, time, trouble, undo, warm,
 } from "./state";
 import { Takes } from "./takes";
 import { pinPose, Timeline } from "./timeline";
@@ -58,7 +58,7 @@ function keys(event: KeyboardEvent): void {
     "+": () => viewer?.turn(0, 0, 1.15),
     "-": () => viewer?.turn(0, 0, 1 / 1.15),
     "?": () => (help.value = true),
-    Escape: () => ((drawing.value = false), (notice.value = null)),
+    Escape: () => ((drawing.value = false), (notice.value = null), (sheet.value = "")),
   };
   if (painting.value) {
     Object.assign(actions, { x: dab, Escape: endPainting });
@@ -167,12 +167,35 @@ function Legend() {
   const shown = !playing.value && take.value?.state === "done" && take.value.skin === "handles" && !comparing.value;
   return shown && (character.value?.ends?.length ?? 0) > 0 ? (
     <p class="legend">
-      <i class="dot" /> drag: a hand or foot &nbsp; <i class="dot pinned" /> pinned now
+      <i class="dot" /> drag a hand or a foot <i class="dot pinned" /> pinned now
     </p>
   ) : null;
 }
 
-const side = signal<"characters" | "clips">("characters");
+const SHEETS = { characters: "Characters", clips: "Clips", takes: "Takes", time: "Timeline" };
+
+/** On a phone, what lies over the stage one at a time. */
+function Sheets() {
+  return (
+    <nav class="sheets" aria-label="sheets">
+      {(Object.keys(SHEETS) as (keyof typeof SHEETS)[]).map((one) => (
+        <button
+          key={one}
+          id={`sheet-${one}`}
+          aria-expanded={sheet.value === one}
+          onClick={() => {
+            sheet.value = sheet.value === one ? "" : one;
+            if (one === "characters" || one === "clips") {
+              side.value = one;
+            }
+          }}
+        >
+          {SHEETS[one]}
+        </button>
+      ))}
+    </nav>
+  );
+}
 
 /** Characters, or the clip library. */
 function Sides() {
@@ -262,7 +285,10 @@ function App() {
         <Boundary name="the view">
           <Stage>
             {!character.value && about.value && (
-              <p class="empty">Drop a character here, or choose a sample.</p>
+              <p class="empty">
+                <b>Who takes the stage?</b>
+                Drop a character here, or choose a sample.
+              </p>
             )}
             {character.value?.state === "opening" && <p class="badge" role="status">finding the handles of {character.value.name}…{warm.value ? "" : " the networks are being loaded, once"}</p>}
             {painting.value && <p class="badge">drag over hair and clothes; drag beside the character to turn it</p>}
@@ -281,6 +307,7 @@ function App() {
         <Boundary name="the timeline">
           <Timeline />
         </Boundary>
+        <Sheets />
       </footer>
       <Export />
       <Asking />
@@ -299,7 +326,13 @@ if (root) {
   }
   const wanted = hashOf(location.hash).get("replay");
   history.replaceState(null, "", location.pathname);
+  root.replaceChildren(); // the page's bones, which stood there until now
+  root.className = "";
+  root.removeAttribute("aria-busy");
   render(<App />, root);
+  effect(() => {
+    root.dataset["sheet"] = sheet.value;
+  });
   effect(() => {
     document.documentElement.dataset["theme"] = theme.value;
     viewer?.theme(theme.value === "dark");

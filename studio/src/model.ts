@@ -16,6 +16,7 @@ import {
 } from "three";
 import { GLTFLoader } from "three/examples/jsm/loaders/GLTFLoader.js";
 import { between, poseBones, type Clip } from "./clip";
+import { copiesOf, smooth } from "./smooth";
 import { Springs, type SpringDocument } from "./springs";
 import type { Worn } from "./types";
 
@@ -35,6 +36,22 @@ export interface Model {
 
 const loader = new GLTFLoader();
 
+/** The light that grazes a character from behind, so that black hair stands out from a dark background. */
+export const rim = { value: new Color(0x000000) };
+
+/** Add the light at grazing angles to a material that is lit. */
+function edged(material: Material): void {
+  material.onBeforeCompile = (shader) => {
+    shader.uniforms["rim"] = rim;
+    shader.fragmentShader = `uniform vec3 rim;\n${shader.fragmentShader}`.replace(
+      "#include <opaque_fragment>",
+      `float graze = 1.0 - saturate(dot(normal, normalize(vViewPosition)));
+       outgoingLight += rim * graze * graze * graze * (0.6 + 0.4 * normal.y);
+       #include <opaque_fragment>`,
+    );
+  };
+}
+
 /** The model of a GLB; `springy` where what its extras say of springs is to swing. */
 export async function loadModel(key: string, data: ArrayBuffer, springy = false): Promise<Model> {
   const found = await loader.parseAsync(data, "");
@@ -43,6 +60,16 @@ export async function loadModel(key: string, data: ArrayBuffer, springy = false)
     if (node instanceof Mesh) {
       node.castShadow = true;
       node.frustumCulled = false; // its bounds are those of the rest pose
+      const unlit = !node.geometry.getAttribute("normal");
+      if (unlit) {
+        smooth(node.geometry);
+      }
+      for (const material of [node.material].flat()) {
+        if (material instanceof MeshStandardMaterial) {
+          material.flatShading = material.flatShading && !unlit; // what the loader sets where there are no normals
+          edged(material);
+        }
+      }
     }
     if (node instanceof SkinnedMesh) {
       skins.push(node);
@@ -69,6 +96,7 @@ export function handleColour(handle: number): Color {
 }
 
 const painted = new MeshStandardMaterial({ vertexColors: true, roughness: 0.85 });
+edged(painted);
 
 const glass = new MeshStandardMaterial({ color: 0x9aa3ad, transparent: true, opacity: 0.22, depthWrite: false, side: 2 });
 
@@ -91,9 +119,11 @@ export function colour(model: Model, way: Colouring, handle: number, worn: Worn 
     const weights = geometry.getAttribute("skinWeight");
     const colours = new Float32Array(joints.count * 3);
     const mixed = new Color();
+    const copies = copiesOf(geometry);
+    const first = joints.count - copies.length;
     for (let vertex = 0; vertex < joints.count; vertex += 1) {
       if (way === "mask") {
-        (worn?.mask[rows?.[vertex] ?? -1] ? WORN : BARE).toArray(colours, vertex * 3);
+        (worn?.mask[rows?.[vertex < first ? vertex : (copies[vertex - first] ?? 0)] ?? -1] ? WORN : BARE).toArray(colours, vertex * 3);
         continue;
       }
       mixed.setRGB(0, 0, 0);
@@ -118,6 +148,7 @@ export function colour(model: Model, way: Colouring, handle: number, worn: Worn 
     }
     geometry.setAttribute("color", new BufferAttribute(colours, 3));
     const material = painted.clone();
+    edged(material);
     material.side = Array.isArray(own) ? 2 : (own?.side ?? 2);
     skin.material = material;
   }
@@ -199,6 +230,8 @@ function wear(model: Model, clip: Clip | null, time: number): void {
         places.array[to] = (places.array[to] ?? 0) + unit * (here + share * (there - here));
       }
     });
+    const copies = copiesOf(bare);
+    copies.forEach((vertex, number) => spot.fromBufferAttribute(places, vertex).toArray(places.array, (rest.count - copies.length + number) * 3));
     places.needsUpdate = true;
     skin.geometry = geometry;
   }

@@ -7,12 +7,10 @@ import { send } from "./api";
 import { clipOf, knowClips } from "./library";
 import { MOST_LETTERS } from "./schema";
 import { fromFile, tooLong } from "./script";
-import { attempt, change, character, doc, pause, say, take } from "./state";
+import { attempt, change, changing, character, doc, instead, pause, say, take } from "./state";
 import type { Understanding } from "./types";
 
 const understanding = signal<{ text: string; found: Understanding } | null>(null);
-export const changing = signal(false);
-export const instead = signal("waves with both hands");
 
 let timer = 0;
 function look(text: string): void {
@@ -109,68 +107,8 @@ export function Prompt() {
           }
         />
       </div>
-      {!changing.value && (
-        <label class="field small">
-          <input
-            type="number"
-            min={0.5}
-            max={120}
-            step={0.5}
-            value={part?.seconds}
-            aria-label="seconds of this sentence"
-            onInput={(event) => {
-              const length = Number(event.currentTarget.value);
-              if (length >= 0.5 && length <= 120) {
-                change("length", {
-                  script: now.script.map((one, place) => (place === now.sentence ? { ...one, seconds: length } : one)),
-                });
-              }
-            }}
-          />
-          <span>s</span>
-        </label>
-      )}
-      <label class="field small" title="the same seed gives the same motion">
-        <span>seed</span>
-        <input
-          type="number"
-          min={0}
-          step={1}
-          value={now.seed}
-          aria-label="seed"
-          onInput={(event) => change("seed", { seed: Math.max(0, Math.round(Number(event.currentTarget.value)) || 0) })}
-        />
-      </label>
-      <button
-        type="button"
-        class="icon"
-        title="another seed"
-        aria-label="another seed"
-        onClick={() => change("", { seed: Math.floor(Math.random() * 100000) })}
-      >
-        ⚂
-      </button>
-      <div class="choice" role="group" aria-label="how many takes">
-        {([1, 4] as const).map((count) => (
-          <button
-            type="button"
-            key={count}
-            aria-pressed={now.count === count}
-            onClick={() => change("", { count })}
-            title={`${count} take${count > 1 ? "s, by seed" : ""}`}
-          >
-            ×{count}
-          </button>
-        ))}
-      </div>
-      {take.value?.state === "done" && take.value.skin === "handles" && (
-        <label class="toggle" title="keep what is selected below and generate the rest anew">
-          <input type="checkbox" checked={changing.value} onChange={(event) => (changing.value = event.currentTarget.checked)} />
-          change the take
-        </label>
-      )}
       <button class="main" disabled={!ready || (changing.value && !kept)} id="animate">
-        {changing.value ? "Generate anew" : "Animate"}
+        {changing.value ? "Make it anew" : "Animate"}
       </button>
       <p id="understood" class="understood" role="status">
         {text.length > MOST_LETTERS && <b>{tooLong(text)}. </b>}
@@ -206,8 +144,59 @@ export function Prompt() {
             ))}
           </>
         )}
-        {changing.value && !kept && "Select a span of time, keep parts of the body, or pin a pose. "}
+        {changing.value && !kept && "Select a stretch of time, keep parts of the body, or pin a pose. "}
       </p>
+      <div class="how">
+        {!changing.value && (
+          <label class="field small">
+            <span>lasts</span>
+            <input
+              type="number"
+              min={0.5}
+              max={120}
+              step={0.5}
+              value={part?.seconds}
+              aria-label="seconds of this sentence"
+              onInput={(event) => {
+                const length = Number(event.currentTarget.value);
+                if (length >= 0.5 && length <= 120) {
+                  change("length", {
+                    script: now.script.map((one, place) => (place === now.sentence ? { ...one, seconds: length } : one)),
+                  });
+                }
+              }}
+            />
+            <span>seconds</span>
+          </label>
+        )}
+        <div class="choice" role="group" aria-label="how many takes">
+          {([1, 4] as const).map((count) => (
+            <button type="button" key={count} aria-pressed={now.count === count} onClick={() => change("", { count })}>
+              {count === 1 ? "one take" : "four takes"}
+            </button>
+          ))}
+        </div>
+        <label class="field small" title="the same number gives the same motion">
+          <span>variation</span>
+          <input
+            type="number"
+            min={0}
+            step={1}
+            value={now.seed}
+            aria-label="variation: the same number gives the same motion"
+            onInput={(event) => change("seed", { seed: Math.max(0, Math.round(Number(event.currentTarget.value)) || 0) })}
+          />
+        </label>
+        <button type="button" class="link" onClick={() => change("", { seed: Math.floor(Math.random() * 100000) })}>
+          another variation
+        </button>
+        {take.value?.state === "done" && take.value.skin === "handles" && (
+          <label class="toggle" title="what is kept or lies outside of the stretch stays; the rest is made anew">
+            <input type="checkbox" checked={changing.value} onChange={(event) => (changing.value = event.currentTarget.checked)} />
+            change a part of this take
+          </label>
+        )}
+      </div>
     </form>
   );
 }

@@ -7,7 +7,7 @@ import { bytes } from "./api";
 import { parseClip, type Clip } from "./clip";
 import { colour, dispose, forget, handleColour, loadModel, type Model } from "./model";
 import {
-  attempt, change, character, characters, colouring, comparing, doc, drawing, follow, ownTakes, painting, playing, running, speed,
+  about, attempt, change, character, characters, colouring, comparing, doc, drawing, follow, ownTakes, painting, playing, running, speed,
   take, takes, time, warm, weightOf,
 } from "./state";
 import { lift, touch, worn } from "./painting";
@@ -51,6 +51,12 @@ function clip(one: Take): Promise<Clip> {
   return found;
 }
 
+/** Between frames [s], above which a browser draws with the processor, and how long it then rests [ms]; of SwiftShader's
+ * frames, which take 0.1 to 0.8 s at these sizes.
+ */
+const SLOW = 0.09;
+const REST = 1500;
+
 export const seconds = (): number => Math.max(0, ...(viewer?.panes ?? []).map((pane) => pane.clip?.seconds ?? 0));
 
 /** Takes that are shown side by side: the starred ones, or those of the latest batch. */
@@ -66,6 +72,15 @@ export function compared(): Take[] {
 let shown = "";
 let framed = "";
 
+/** The sign of life that the page began with stays until there is something to see. */
+function awake(): void {
+  const waking = document.getElementById("waking");
+  const wait = !about.value || (character.value?.state === "opening" || character.value?.state === "ready");
+  if (waking) {
+    waking.hidden = Boolean(viewer?.panes.length) || !wait;
+  }
+}
+
 async function refresh(): Promise<void> {
   const owner = character.value;
   const view = viewer;
@@ -75,6 +90,7 @@ async function refresh(): Promise<void> {
   if (!owner || !owner.version) {
     view.show([]);
     shown = "";
+    awake();
     return;
   }
   const one = take.value;
@@ -108,6 +124,7 @@ async function refresh(): Promise<void> {
         return; // something else was chosen meanwhile
       }
       view.show(panes);
+      awake();
       const frame = `${owner.id}:${owner.version}`;
       if (frame !== framed) {
         framed = frame;
@@ -181,7 +198,7 @@ export function Stage({ children }: { children?: preact.ComponentChildren }) {
     };
     const stops = [
       effect(() => {
-        void [character.value, take.value, comparing.value, takes.value, characters.value, doc.value.live, painting.value];
+        void [about.value, character.value, take.value, comparing.value, takes.value, characters.value, doc.value.live, painting.value];
         void refresh();
       }),
       effect(() => {
@@ -221,13 +238,20 @@ export function Stage({ children }: { children?: preact.ComponentChildren }) {
     ];
     let frame = 0;
     let before = performance.now();
+    let pace = 0; // [s] between frames, over the last ten or so
+    let drawn = 0;
     const tick = (now: number): void => {
       frame = requestAnimationFrame(tick);
+      pace += ((now - before) / 1000 - pace) / 10;
       const passed = Math.min((now - before) / 1000, 0.25);
       before = now;
       if (document.hidden) {
         return;
       }
+      if (pace > SLOW && running.value.length && playing.value && now - drawn < REST) {
+        return; // a browser that draws with the processor leaves it to what is being made
+      }
+      drawn = now;
       const length = seconds();
       if (playing.value && length > 0) {
         time.value = (time.value + passed * speed.value) % length;
@@ -260,7 +284,7 @@ function Labels() {
         <div class={`labels grid-${several.length > 3 ? 2 : several.length}`} aria-hidden="true">
           {several.map((one) => (
             <span key={one.id} class={one.id === doc.value.take ? "chosen" : ""}>
-              seed {one.seed} {one.star ? "★" : ""} {one.state === "draft" ? "· draft" : ""}
+              variation {one.seed} {one.star ? "· starred" : ""} {one.state === "draft" ? "· draft" : ""}
             </span>
           ))}
         </div>

@@ -28,11 +28,37 @@ export const colouring = signal<Exclude<Colouring, "mask">>("none");
 export const weightOf = signal(0);
 export const comparing = signal(false);
 export const drawing = signal(false);
+/** Which tab is open beside the stage, and on a phone what lies over it. */
+export const side = signal<"characters" | "clips">("characters");
+export const sheet = signal<"" | "characters" | "clips" | "takes" | "time">("");
 /** Whether hair and clothes are being painted on the mesh, and how. */
 export const painting = signal(false);
 export const brush = signal({ add: true, size: 0.05 });
 
 export const doc = signal<Doc>(EMPTY);
+/** Whether the box says what is done instead of a part of the take, and those words. */
+export const changing = signal(false);
+export const instead = signal("waves with both hands");
+
+/** All that undo takes back at once. */
+interface Shown {
+  doc: Doc;
+  comparing: boolean;
+  changing: boolean;
+  instead: string;
+}
+
+const shown = (): Shown => ({ doc: doc.value, comparing: comparing.value, changing: changing.value, instead: instead.value });
+
+/** Show the page as it stood. */
+function show(one: Shown): void {
+  batch(() => {
+    doc.value = one.doc;
+    comparing.value = one.comparing;
+    changing.value = one.changing;
+    instead.value = one.instead;
+  });
+}
 
 export const character = computed(() => characters.value.find((one) => one.id === doc.value.character) ?? null);
 export const take = computed(() => takes.value.find((one) => one.id === doc.value.take) ?? null);
@@ -58,6 +84,8 @@ interface Step {
   name: string;
   undo: () => void | Promise<unknown>;
   redo: () => void | Promise<unknown>;
+  /** How the page stood before, of a step that changes nothing but the page. */
+  before?: Shown;
 }
 const done = signal<Step[]>([]);
 const undone = signal<Step[]>([]);
@@ -76,23 +104,54 @@ export function pause(): void {
   last = { name: "", at: 0 };
 }
 
-/** Change the document; changes of one name in quick succession (typing, dragging) are one step. */
-export function change(name: string, values: Partial<Doc>): void {
-  const before = doc.value;
-  const after = { ...before, ...values };
-  doc.value = after;
+/** Change the document, and with it whether a part of the take is changed; changes of one name in quick succession
+ * (typing, dragging) are one step.
+ */
+export function change(name: string, values: Partial<Doc>, page: Partial<Omit<Shown, "doc">> = {}): void {
   const now = performance.now();
   const top = done.value.at(-1);
-  if (top && last.name === name && now - last.at < 1200 && name !== "") {
-    done.value = [
-      ...done.value.slice(0, -1),
-      { name, undo: top.undo, redo: () => void (doc.value = after) },
-    ];
-    undone.value = [];
-  } else {
-    remember({ name, undo: () => void (doc.value = before), redo: () => void (doc.value = after) });
+  const goesOn = top?.before && last.name === name && now - last.at < 1200 && name !== "";
+  const before = (goesOn && top.before) || shown();
+  show({ ...shown(), ...page, doc: { ...doc.value, ...values } });
+  const after = shown();
+  if (goesOn) {
+    done.value = done.value.slice(0, -1);
   }
+  remember({ name, before, undo: () => show(before), redo: () => show(after) });
   last = { name, at: now };
+}
+
+/** Do what is undone as one step with all that was changed on the page since a take was made or chosen: its words, its
+ * path and its pins. `made` takes what it made away, or brings it back.
+ */
+export function settled(name: string, values: Partial<Doc>, page: Partial<Omit<Shown, "doc">>, made: (there: boolean) => Promise<unknown>): void {
+  let before = shown();
+  while (done.value.at(-1)?.before?.doc.take === before.doc.take && done.value.at(-1)?.before?.doc.character === before.doc.character) {
+    before = done.value.at(-1)?.before as Shown;
+    done.value = done.value.slice(0, -1);
+  }
+  show({ ...shown(), ...page, doc: { ...doc.value, ...values } });
+  const after = shown();
+  remember({
+    name,
+    undo: async () => {
+      show(before);
+      await made(false);
+    },
+    redo: async () => {
+      await made(true);
+      show(after);
+    },
+  });
+}
+
+/** Take the last step out of what can be undone, and show the page as it stood before it. */
+export function retract(name: string): void {
+  const top = done.value.at(-1);
+  if (top?.name === name && top.before) {
+    done.value = done.value.slice(0, -1);
+    show(top.before);
+  }
 }
 
 export async function undo(): Promise<void> {

@@ -4,9 +4,8 @@ import { signal } from "@preact/signals";
 import { useState } from "preact/hooks";
 import { bend, choose, deleteTake, regenerate, remake, replayLink, star } from "./actions";
 import { send } from "./api";
-import { changing, instead } from "./prompt";
 import { viewer } from "./stage";
-import { attempt, change, character, comparing, doc, ended, interrupted, ownTakes, running, say, take, time, uploading } from "./state";
+import { attempt, change, changing, character, comparing, doc, ended, instead, interrupted, ownTakes, running, say, take, time, uploading } from "./state";
 import type { Take, Vec3 } from "./types";
 
 /** Where one chooses, the sliders begin here. */
@@ -40,18 +39,20 @@ function Row({ one }: { one: Take }) {
   const job = running.value.find((each) => each.about.takes?.includes(one.id));
   return (
     <li class={chosen ? "chosen" : ""}>
-      <button class="icon" aria-label={one.star ? "remove the star" : "star"} aria-pressed={one.star} onClick={() => void star(one)}>
-        {one.star ? "★" : "☆"}
-      </button>
       <button class="name" aria-pressed={chosen} onClick={() => choose(one.id)}>
         {titleOf(one)}
         <small>
           {one.state === "done"
-            ? `${one.how === "transfer" ? "transfer" : `seed ${one.seed}`} · ${one.seconds?.toFixed(1)} s${one.stiffness ? ` · stiffness ×${factor(one.stiffness)}` : ""}`
+            ? `${one.how === "transfer" ? "from a file" : `variation ${one.seed}`} · ${one.seconds?.toFixed(1)} s${one.stiffness ? ` · ${factor(one.stiffness)} times as stiff` : ""}`
             : one.error || (job ? `${job.stage || one.state} ${Math.round(job.done * 100)} %` : one.state)}
         </small>
         {job && <progress max={1} value={job.done} />}
       </button>
+      {!job && (
+        <button class="icon star" aria-label={one.star ? "remove the star" : "star"} aria-pressed={one.star} onClick={() => void star(one)}>
+          {one.star ? "★" : "☆"}
+        </button>
+      )}
       {job ? (
         <button class="icon" aria-label="cancel" onClick={() => void attempt(() => send("DELETE", `/jobs/${job.id}`))}>
           ■
@@ -127,8 +128,8 @@ function Change() {
   const [from, to] = now.span ?? cut;
   const span = (values: [number, number]): void => {
     setCut(values);
-    change("select a span", { span: values[1] - values[0] >= 0.1 ? values : null });
-    changing.value = values[1] - values[0] >= 0.1;
+    const long = values[1] - values[0] >= 0.1;
+    change("select a span", { span: long ? values : null }, { changing: long });
   };
   const field = (name: string, value: number, set: (value: number) => void) => (
     <label class="field small">
@@ -152,10 +153,10 @@ function Change() {
       </div>
       <div class="chips">
         <button class="chip" disabled={to - from < 0.1} onClick={() => void regenerate(instead.value)}>
-          generate this span anew
+          make this stretch anew
         </button>
         <button class="chip" id="trim" disabled={to - from < 0.1} onClick={() => void remake("cut a take", { trim: [from, to] })}>
-          keep only this span
+          keep only this stretch
         </button>
         <button class="chip" id="mirror" onClick={() => void remake("mirror a take", { mirror: true })}>
           mirror left and right
@@ -187,7 +188,7 @@ export function Takes() {
       {take.value?.state === "done" && (
         <details open={changing.value || changes.value} onToggle={(event) => (changes.value = event.currentTarget.open)}>
           <summary>change this take</summary>
-          <p class="hint">Keep parts of the body, select a span, or pin poses, hands and feet; the rest is generated anew.</p>
+          <p class="hint">Keep parts of the body, select a stretch of time, or pin poses, hands and feet; the rest is made anew.</p>
           <div class="chips">
             {KEPT.map((part) => (
               <button
@@ -195,8 +196,8 @@ export function Takes() {
                 class="chip"
                 aria-pressed={now.keep.includes(part)}
                 onClick={() => {
-                  changing.value = true;
-                  change("", { keep: now.keep.includes(part) ? now.keep.filter((each) => each !== part) : [...now.keep, part] });
+                  const keep = now.keep.includes(part) ? now.keep.filter((each) => each !== part) : [...now.keep, part];
+                  change("", { keep }, { changing: true });
                 }}
               >
                 keep {part}

@@ -4,24 +4,26 @@ import { useRef } from "preact/hooks";
 import { signal } from "@preact/signals";
 import { addClip, bend } from "./actions";
 import { clipOf, DRAGGED } from "./library";
-import { changing } from "./prompt";
 import { blocksOf, fromFile, inRange, readPath } from "./script";
 import { seconds as shownSeconds } from "./stage";
 import { change, character, doc, drawing, follow, playing, speed, take, time, total } from "./state";
 
-/** Whether the rows of what directs a take are shown; they also are where there is something in them. */
+/** Whether the tools that direct a take are shown, and the row that selects a stretch of it; rows of pins and poses are
+ * there where there is something in them.
+ */
 const unfolded = signal(false);
 
 const PARTS: Record<string, string> = {
-  left_hand: "L hand",
-  right_hand: "R hand",
-  left_foot: "L foot",
-  right_foot: "R foot",
+  left_hand: "left hand",
+  right_hand: "right hand",
+  left_foot: "left foot",
+  right_foot: "right foot",
 };
 
 /** How long the line is [s]: the sentences, or the take where that is longer. */
 const length = (): number =>
   Math.max(fromFile(take.value, doc.value) ? 0 : total.value, take.value?.seconds ?? 0, 0.5);
+const SPEEDS: Record<string, string> = { "0.25": "quarter speed", "0.5": "half speed", "1": "normal speed", "2": "double speed" };
 const MOST_MARKS = 60;
 const percent = (seconds: number): string => `${(100 * seconds) / length()}%`;
 const snapped = (seconds: number): number => Math.round(seconds * 20) / 20;
@@ -106,8 +108,7 @@ function Sentences() {
               class="words"
               aria-pressed={number === sentence}
               onClick={() => {
-                changing.value = false;
-                change("", { sentence: number });
+                change("", { sentence: number }, { changing: false });
                 document.getElementById("sentence")?.focus();
               }}
             >
@@ -206,7 +207,7 @@ function Span() {
     <div
       class="row thin span-row"
       ref={row}
-      title="drag to select what is generated anew"
+      title="drag to select what is made anew"
       onPointerDown={(event) => {
         if (!row.current || !take.value) {
           return;
@@ -216,12 +217,12 @@ function Span() {
           first ??= snapped(at);
           const other = snapped(at);
           if (Math.abs(other - first) >= 0.1) {
-            change("select a span", { span: [Math.min(first, other), Math.max(first, other)] });
-            changing.value = true;
+            change("select a span", { span: [Math.min(first, other), Math.max(first, other)] }, { changing: true });
           }
         });
       }}
     >
+      {!span && <span class="hint">drag here over what is to be made anew</span>}
       {span && (
         <span class="span" style={{ left: percent(span[0]), width: percent(span[1] - span[0]) }}>
           <button
@@ -245,17 +246,17 @@ export function pinPose(): void {
   }
   const at = Math.round(time.value * 20) / 20;
   const rest = doc.value.poses.filter((pose) => Math.abs(pose.time - at) > 0.02);
-  change("pin a pose", { poses: [...rest, { time: at, take: one.id, at }].sort((a, b) => a.time - b.time) });
-  changing.value = true;
+  change("pin a pose", { poses: [...rest, { time: at, take: one.id, at }].sort((a, b) => a.time - b.time) }, { changing: true });
 }
 
 export function Timeline() {
   const lane = useRef<HTMLDivElement>(null);
   const now = doc.value;
   const filled = new Set(now.pins.map((pin) => pin.part));
-  const ends = (character.value?.ends ?? []).filter((end) => unfolded.value || filled.has(end.part));
+  const ends = (character.value?.ends ?? []).filter((end) => filled.has(end.part));
   const changes = unfolded.value || now.span !== null;
-  const posed = unfolded.value || now.poses.length > 0;
+  const posed = now.poses.length > 0;
+  const pathed = drawing.value || now.path.length > 1;
   const fps = take.value?.fps ?? 20;
   const step = (frames: number): void => {
     playing.value = false;
@@ -264,87 +265,91 @@ export function Timeline() {
   return (
     <section class="timeline" aria-label="timeline">
       <div class="transport">
-        <button class="icon" aria-label={playing.value ? "pause" : "play"} title="Space" onClick={() => (playing.value = !playing.value)}>
-          {playing.value ? "❚❚" : "▶"}
-        </button>
-        <button class="icon" aria-label="a frame back" title="←" onClick={() => step(-1)}>
-          ‹
-        </button>
-        <button class="icon" aria-label="a frame on" title="→" onClick={() => step(1)}>
-          ›
+        <button class="play" aria-label={playing.value ? "pause" : "play"} title="Space" onClick={() => (playing.value = !playing.value)}>
+          <svg viewBox="0 0 16 16" width="16" height="16" aria-hidden="true">
+            <path d={playing.value ? "M3 2h4v12H3zM9 2h4v12H9z" : "M4 1.5v13l10-6.5z"} fill="currentColor" />
+          </svg>
         </button>
         <output class="clock">
-          {clock(time.value)} / {clock(take.value?.seconds ?? total.value)}
+          {clock(time.value)} <span class="muted">of {clock(take.value?.seconds ?? total.value)}</span>
         </output>
-        <span class="muted">frame {Math.round(time.value * fps)}</span>
-        <label class="field small">
-          <span>speed</span>
-          <select value={String(speed.value)} onChange={(event) => (speed.value = Number(event.currentTarget.value))}>
-            {[0.25, 0.5, 1, 2].map((one) => (
-              <option key={one} value={String(one)}>
-                {one}×
-              </option>
-            ))}
-          </select>
-        </label>
-        <label class="toggle">
-          <input type="checkbox" checked={follow.value} onChange={(event) => (follow.value = event.currentTarget.checked)} /> follow
-        </label>
-        <label class="toggle">
-          <input type="checkbox" checked={now.loop} onChange={(event) => change("", { loop: event.currentTarget.checked, path: event.currentTarget.checked ? [] : now.path })} /> loop
-        </label>
-        <label class="toggle">
-          <input type="checkbox" checked={now.inPlace} onChange={(event) => change("", { inPlace: event.currentTarget.checked, path: event.currentTarget.checked ? [] : now.path })} /> in place
-        </label>
-        <button
-          id="fold"
-          aria-expanded={unfolded.value}
-          title="rows to select a span and to see pins of poses, hands and feet"
-          onClick={() => (unfolded.value = !unfolded.value)}
-        >
-          {unfolded.value ? "▾" : "▸"} direct
-        </button>
-        <span class="fill" />
-        <button onClick={() => change("add a sentence", { script: [...now.script, { text: "waves", seconds: 3 }], sentence: now.script.length })}>
-          + sentence
-        </button>
-        <button onClick={pinPose} disabled={take.value?.state !== "done"} title="I: this pose stays, the rest is generated">
-          ◆ pin pose
-        </button>
-        <button
-          aria-pressed={drawing.value}
-          onClick={() => {
-            drawing.value = !drawing.value;
-            if (drawing.value) {
-              change("", { loop: false, inPlace: false });
-            }
-          }}
-          title="P: drag on the floor where the character goes"
-        >
-          ✎ draw a path
-        </button>
-        {(drawing.value || now.path.length > 1) && (
+        <div class="tools">
           <label class="field small">
-            <span>path</span>
-            <input
-              id="path"
-              value={now.path.map((point) => point.join(",")).join(" ")}
-              placeholder="0,0 1,2 3,2"
-              aria-label="points of the path: x and z in metres, as 0,0 1,2 3,2"
-              onChange={(event) => {
-                const path = readPath(event.currentTarget.value);
-                change("type a path", { path, loop: false, inPlace: false });
-                drawing.value = false;
-              }}
-            />
+            <span class="unseen">speed</span>
+            <select value={String(speed.value)} onChange={(event) => (speed.value = Number(event.currentTarget.value))}>
+              {Object.entries(SPEEDS).map(([one, name]) => (
+                <option key={one} value={one}>
+                  {name}
+                </option>
+              ))}
+            </select>
           </label>
-        )}
-        {now.path.length > 1 && <button onClick={() => change("forget the path", { path: [] })}>× path</button>}
+          <label class="toggle">
+            <input type="checkbox" checked={follow.value} onChange={(event) => (follow.value = event.currentTarget.checked)} /> follow
+          </label>
+          <label class="toggle">
+            <input type="checkbox" checked={now.loop} onChange={(event) => change("", { loop: event.currentTarget.checked, path: event.currentTarget.checked ? [] : now.path })} /> loop
+          </label>
+          <label class="toggle">
+            <input type="checkbox" checked={now.inPlace} onChange={(event) => change("", { inPlace: event.currentTarget.checked, path: event.currentTarget.checked ? [] : now.path })} /> on the spot
+          </label>
+          <span class="fill" />
+          <button onClick={() => change("add a sentence", { script: [...now.script, { text: "waves", seconds: 3 }], sentence: now.script.length })}>
+            Add a sentence
+          </button>
+          <button id="fold" aria-expanded={unfolded.value} onClick={() => (unfolded.value = !unfolded.value)}>
+            Direct
+          </button>
+        </div>
       </div>
-      <div class="lanes">
+      {(unfolded.value || pathed) && (
+        <div class="transport directing">
+          <button class="icon" aria-label="a frame back" title="←" onClick={() => step(-1)}>
+            ‹
+          </button>
+          <button class="icon" aria-label="a frame on" title="→" onClick={() => step(1)}>
+            ›
+          </button>
+          <span class="muted">frame {Math.round(time.value * fps)}</span>
+          <button onClick={pinPose} disabled={take.value?.state !== "done"} title="I: this pose stays, the rest is made anew">
+            Pin this pose
+          </button>
+          <button
+            id="draw"
+            aria-pressed={drawing.value}
+            onClick={() => {
+              drawing.value = !drawing.value;
+              if (drawing.value) {
+                change("", { loop: false, inPlace: false });
+              }
+            }}
+            title="P: drag on the floor where the character goes"
+          >
+            Draw a path
+          </button>
+          {pathed && (
+            <label class="field small">
+              <span>points of the path</span>
+              <input
+                id="path"
+                value={now.path.map((point) => point.join(",")).join(" ")}
+                placeholder="0,0 1,2 3,2"
+                aria-label="points of the path: x and z in metres, as 0,0 1,2 3,2"
+                onChange={(event) => {
+                  const path = readPath(event.currentTarget.value);
+                  change("type a path", { path, loop: false, inPlace: false });
+                  drawing.value = false;
+                }}
+              />
+            </label>
+          )}
+          {now.path.length > 1 && <button onClick={() => change("forget the path", { path: [] })}>Forget the path</button>}
+        </div>
+      )}
+      <div class={`lanes ${changes || posed || ends.length ? "named" : ""}`}>
         <div class="names" aria-hidden="true">
           <span>sentences</span>
-          {changes && <span class="thin">change</span>}
+          {changes && <span class="thin">made anew</span>}
           {posed && <span class="thin">poses</span>}
           {ends.map((end) => (
             <span class="thin" key={end.part}>

@@ -23,6 +23,8 @@ export interface Character {
   version: number;
   settings: Settings;
   deleted?: boolean;
+  /** The sample that it is a copy of. */
+  sample?: string;
   axes?: { up: string; front: string; sure: number; other: [string, string] | null };
   unit?: { unit: string; likely: string; note: string };
   vertices?: number;

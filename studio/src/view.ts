@@ -6,13 +6,14 @@
 import * as THREE from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 import { GLTFLoader } from "three/examples/jsm/loaders/GLTFLoader.js";
+import { smooth } from "./smooth";
 
 export { GLTFLoader, OrbitControls };
 export {
-  AmbientLight, BufferAttribute, BufferGeometry, CircleGeometry, Color, DirectionalLight, DynamicDrawUsage,
-  Float32BufferAttribute, Fog, HemisphereLight, Line, LineBasicMaterial, LineSegments, Mesh,
-  MeshBasicMaterial, MeshStandardMaterial, PCFShadowMap, PerspectiveCamera, Plane, Quaternion, Raycaster, Scene,
-  ShadowMaterial, SkinnedMesh, SphereGeometry, Spherical, Vector2, Vector3, WebGLRenderer,
+  BufferAttribute, BufferGeometry, CircleGeometry, Color, DirectionalLight, DynamicDrawUsage,
+  Float32BufferAttribute, Group, HemisphereLight, Line, LineBasicMaterial, LineSegments, Mesh,
+  MeshBasicMaterial, MeshStandardMaterial, NeutralToneMapping, PCFShadowMap, PerspectiveCamera, Plane, Quaternion, Raycaster, Scene,
+  ShaderMaterial, ShadowMaterial, SkinnedMesh, SphereGeometry, Spherical, Vector2, Vector3, WebGLRenderer,
 } from "three";
 
 async function bytes(text: string): Promise<ArrayBuffer> {
@@ -52,6 +53,10 @@ async function show(): Promise<void> {
   const middle = box.getCenter(new THREE.Vector3());
   gltf.scene.traverse((thing) => {
     thing.frustumCulled = false; // bounds are those of the rest pose
+    if (thing instanceof THREE.Mesh && !thing.geometry.getAttribute("normal")) {
+      smooth(thing.geometry);
+      for (const material of [thing.material].flat()) Object.assign(material, { flatShading: false, needsUpdate: true });
+    }
   });
   const grid = new THREE.GridHelper(20 * reach, 40, "#9aa5b1", "#c3cbd4");
   grid.position.y = Math.min(box.min.y, 0);

@@ -1,26 +1,23 @@
 // The view: panes side by side with a character each, a floor, a camera that follows, gizmos for pins and the path.
 
 import {
-  AmbientLight,
   BufferGeometry,
-  CircleGeometry,
   Color,
   DirectionalLight,
   Float32BufferAttribute,
-  Fog,
   HemisphereLight,
   Line,
   LineBasicMaterial,
   LineSegments,
   Mesh,
   MeshBasicMaterial,
+  NeutralToneMapping,
   PCFShadowMap,
   PerspectiveCamera,
   Plane,
   Ray,
   Raycaster,
   Scene,
-  ShadowMaterial,
   SphereGeometry,
   Spherical,
   Vector2,
@@ -29,7 +26,8 @@ import {
 } from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 import { rootAt, type Clip } from "./clip";
-import { carried, pose, rest, swing, type Model } from "./model";
+import { Ground, LOOKS } from "./ground";
+import { carried, pose, rest, rim, swing, type Model } from "./model";
 import type { Strand } from "./skeleton";
 import type { LimbEnd, Pin } from "./types";
 
@@ -78,9 +76,10 @@ export class Viewer {
   drawing = false;
   directing = false;
   private dirty = true;
-  private readonly floor: Mesh;
-  private grid: LineSegments;
-  private readonly sun: DirectionalLight;
+  private readonly floor = new Ground();
+  private readonly sky = new HemisphereLight(0xfff6ea, 0xb08f73, 1.7);
+  private readonly sun = new DirectionalLight(0xfff1de, 1.9);
+  private readonly fill = new DirectionalLight(0xdfe8ff, 0.5);
   private readonly gizmos: Mesh[] = [];
   private readonly dots: Mesh[] = [];
   /** Paints where a ray goes; whether it met something. */
@@ -114,18 +113,13 @@ export class Viewer {
     this.controls = new OrbitControls(this.camera, this.canvas);
     this.controls.addEventListener("change", () => this.touch());
     this.controls.maxPolarAngle = Math.PI * 0.52;
-    this.scene.add(new HemisphereLight(0xffffff, 0x8a8078, 1.5), new AmbientLight(0xffffff, 0.35));
-    this.sun = new DirectionalLight(0xffffff, 2.1);
+    this.renderer.toneMapping = NeutralToneMapping;
     this.sun.castShadow = true;
     this.sun.shadow.mapSize.set(1024, 1024);
     this.sun.shadow.bias = -0.0005;
     this.sun.shadow.normalBias = 0.02;
-    this.scene.add(this.sun, this.sun.target);
-    this.floor = new Mesh(new CircleGeometry(60, 48), new ShadowMaterial({ opacity: 0.25 }));
-    this.floor.rotation.x = -Math.PI / 2;
-    this.floor.receiveShadow = true;
-    this.grid = squares(0, 0);
-    this.scene.add(this.floor, this.grid);
+    this.sun.shadow.radius = 7;
+    this.scene.add(this.sky, this.sun, this.sun.target, this.fill, this.fill.target, this.floor.group);
     this.theme(false);
     new ResizeObserver(() => this.fit(holder)).observe(holder);
     this.fit(holder);
@@ -173,13 +167,12 @@ export class Viewer {
   }
 
   theme(dark: boolean): void {
-    this.scene.background = new Color(dark ? 0x1d1f23 : 0xe9e7e3);
-    this.scene.remove(this.grid);
-    this.grid.geometry.dispose();
-    this.grid = squares(dark ? 0x4a4f58 : 0xb3ada4, dark ? 0x33373e : 0xcfcac2);
-    this.grid.scale.copy(this.floor.scale);
-    this.scene.fog = new Fog(this.scene.background as Color, this.size * 5, this.size * 14);
-    this.scene.add(this.grid);
+    const look = LOOKS[dark ? "dark" : "light"];
+    this.scene.background = new Color(look.paper);
+    rim.value.copy(look.rim);
+    this.sky.intensity = dark ? 1.1 : 1.7;
+    this.fill.intensity = dark ? 0.9 : 0.5;
+    this.floor.theme(dark);
     this.touch();
   }
 
@@ -198,7 +191,9 @@ export class Viewer {
     ];
     this.size = Math.max(high[0] - low[0], high[1] - low[1], high[2] - low[2], 1e-3);
     const middle = new Vector3((low[0] + high[0]) / 2, (low[1] + high[1]) / 2, (low[2] + high[2]) / 2);
-    const away = this.size * 3.1;
+    const wide = Math.hypot(high[0] - low[0], high[2] - low[2]);
+    const aspect = Math.max(this.canvas.clientWidth, 1) / Math.max(this.canvas.clientHeight, 1);
+    const away = Math.max((high[1] - low[1]) * 1.5, (wide * 1.2) / aspect) / (2 * Math.tan((FOV * Math.PI) / 360));
     const yaw = 0.56;
     const rise = 0.2;
     this.camera.near = this.size / 100;
@@ -210,11 +205,7 @@ export class Viewer {
       .set(Math.sin(yaw) * Math.cos(rise), Math.sin(rise), Math.cos(yaw) * Math.cos(rise))
       .multiplyScalar(away)
       .add(this.controls.target);
-    const unit = 10 ** Math.round(Math.log10(this.size / 2));
-    const spot = new Vector3(unit, unit, unit);
-    this.grid.scale.copy(spot);
-    this.floor.scale.copy(spot);
-    this.scene.fog = new Fog(this.scene.background as Color, this.size * 5, this.size * 14);
+    this.floor.fit(this.size);
     const reach = this.size * 1.6;
     Object.assign(this.sun.shadow.camera, { left: -reach, right: reach, top: reach, bottom: -reach, near: 0.01, far: reach * 6 });
     this.sun.shadow.camera.updateProjectionMatrix();
@@ -304,7 +295,7 @@ export class Viewer {
       const aside = new Vector3((own[0] ?? 0) - x, 0, (own[1] ?? 0) - z);
       this.camera.position.add(aside);
       this.camera.updateMatrixWorld();
-      this.light(x + aside.x, z + aside.z);
+      this.light(x + aside.x, z + aside.z, pane.model);
       this.mark(pane, count === 1);
       const left = column * wide;
       const bottom = height - (row + 1) * high;
@@ -316,12 +307,13 @@ export class Viewer {
     this.camera.updateMatrixWorld();
   }
 
-  private light(x: number, z: number): void {
+  private light(x: number, z: number, model: Model): void {
     this.sun.target.position.set(x, 0, z);
     this.sun.position.set(x + this.size * 1.1, this.size * 2.6, z + this.size * 1.5);
-    this.floor.position.set(x, 0, z);
-    const step = this.grid.scale.x;
-    this.grid.position.set(Math.round(x / step) * step, 0.0005 * this.size, Math.round(z / step) * step);
+    this.fill.target.position.copy(this.sun.target.position);
+    this.fill.position.set(x - this.size * 2, this.size * 1.2, z + this.size);
+    this.floor.fit(this.size, this.drawing);
+    this.floor.under(x, z, model.bones);
   }
 
   private ball(list: Mesh[], number: number): Mesh {
@@ -572,28 +564,4 @@ export class Viewer {
 
 function round(value: number): number {
   return Math.round(value * 1e4) / 1e4;
-}
-
-const CELLS = 40; // on each side of the middle
-const CELL = 0.5;
-
-/** The floor's squares, every second line stronger. Each line is cut at every square: some drivers drop what passes the eye. */
-function squares(strong: number, weak: number): LineSegments {
-  const places: number[] = [];
-  const colours: number[] = [];
-  const shades = [new Color(strong), new Color(weak)];
-  const reach = CELLS * CELL;
-  for (let line = -CELLS; line <= CELLS; line += 1) {
-    const at = line * CELL;
-    const shade = shades[Math.abs(line % 2)] as Color;
-    for (let piece = -CELLS; piece < CELLS; piece += 1) {
-      const from = Math.max(piece * CELL, -reach);
-      places.push(at, 0, from, at, 0, from + CELL, from, 0, at, from + CELL, 0, at);
-      colours.push(...[0, 1, 2, 3].flatMap(() => shade.toArray()));
-    }
-  }
-  const geometry = new BufferGeometry();
-  geometry.setAttribute("position", new Float32BufferAttribute(places, 3));
-  geometry.setAttribute("color", new Float32BufferAttribute(colours, 3));
-  return new LineSegments(geometry, new LineBasicMaterial({ vertexColors: true, toneMapped: false }));
 }

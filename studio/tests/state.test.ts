@@ -32,6 +32,30 @@ test("a change after an undo forgets what was undone", async () => {
   expect(state.canRedo.value).toBeNull();
 });
 
+test("undoing a take takes back the words, the path and the mode that led to it", async () => {
+  state.doc.value = { ...EMPTY, take: "a", script: [{ text: "walks", seconds: 4 }] };
+  const before = state.doc.value;
+  state.change("type", { script: [{ text: "jumps", seconds: 4 }] });
+  state.change("select a span", { span: [1, 2], path: [[0, 0], [0, 1]] }, { changing: true });
+  const made = vi.fn(async () => undefined);
+  state.settled("generate", { take: "b" }, { comparing: true }, made);
+  await state.undo();
+  expect(state.doc.value).toEqual(before);
+  expect([state.changing.value, state.comparing.value]).toEqual([false, false]);
+  await state.redo();
+  expect([state.doc.value.take, state.doc.value.script[0]?.text, state.changing.value]).toEqual(["b", "jumps", true]);
+  expect(made.mock.calls).toEqual([[false], [true]]);
+});
+
+test("what is retracted leaves no step behind", async () => {
+  state.change("", { seed: 1 });
+  state.change("choose a character", { character: "broken" });
+  state.retract("choose a character");
+  expect([state.doc.value.character, state.doc.value.seed]).toEqual([null, 1]);
+  await state.undo();
+  expect(state.doc.value.seed).toBe(0);
+});
+
 test("an undo that fails is said and the page goes on", async () => {
   state.remember({ name: "star", undo: () => Promise.reject(new Error("the disk is full")), redo: () => undefined });
   await state.undo();

@@ -87,7 +87,7 @@ def test_words_that_are_not_understood_are_underlined_and_a_chip_mends_them(page
 
 def test_a_sentence_four_takes_and_undo(page):
     before = page.value("studio.takes.value.length")
-    page.page.click("text=×4")
+    page.page.click("text=four takes")
     page.type("jumps high")
     page.until(f"studio.takes.value.filter((one) => one.state === 'done').length >= {before + 4}")
     seeds = page.value("studio.takes.value.slice(0, 4).map((one) => one.seed).sort()")
@@ -247,7 +247,8 @@ def test_a_hand_is_pinned_and_a_path_is_typed_without_a_pointer(page):
     page.page.focus("button:text('Bend to the pins')")
     page.page.keyboard.press("Enter")
     page.until("studio.take.value.how === 'bend' && studio.take.value.state === 'done'")
-    page.page.click("text=draw a path")
+    page.page.click("#fold")
+    page.page.click("#draw")
     page.page.fill("#path", "0,0 0,1 1,2")
     page.page.press("#path", "Enter")
     assert page.value("studio.doc.value.path") == [[0, 0], [0, 1], [1, 2]]
@@ -300,10 +301,11 @@ def states(page):
     page.page.click("#fold")
     page.page.click("summary:has-text('change this take')")
     page.page.click("summary:has-text('how takes are drawn')")
+    page.page.click("#body > summary")
     page.page.click("summary:has-text('how it stands')")
     page.set(0.3)
     page.page.click("button:text('pin left hand here')")
-    page.page.click("text=pin pose")
+    page.page.click("text=Pin this pose")
     page.value("studio.change('', { span: [0.2, 0.6], path: [[0, 0], [0, 1]] })")
     yield "directing"
     page.page.click("#tab-clips")
@@ -321,12 +323,23 @@ def states(page):
     page.page.click("#fold")
 
 
-@pytest.mark.parametrize("width", [1280, 420])
+def sheets(page):
+    """Go through the sheets of a phone, giving the name of each."""
+    yield "first"
+    for name in ("characters", "clips", "takes", "time"):
+        page.page.click(f"#sheet-{name}")
+        if name == "clips":
+            page.page.wait_for_selector("#clip-wave")
+        yield name
+        page.page.click(f"#sheet-{name}")
+
+
+@pytest.mark.parametrize("width", [1280, 390])
 def test_nothing_is_small_and_axe_finds_nothing(page, width):
     axe = (ROOT / "studio" / "node_modules" / "axe-core" / "axe.min.js").read_text(encoding="utf-8")
     page.page.set_viewport_size({"width": width, "height": 800})
     try:
-        for name in states(page):
+        for name in states(page) if width > 720 else sheets(page):
             assert page.value(SMALL) == [], name
             page.value(axe)
             assert page.value(AXE) == [], name
@@ -367,9 +380,10 @@ def test_a_phone_shows_what_opens_and_what_animates_at_once(page):
     page.page.set_viewport_size({"width": 390, "height": 800})
     try:
         page.until("innerWidth === 390")
-        for name in ("#open", "#sentence", "#animate", ".stage canvas"):
+        for name in ("#open", "#sentence", "#animate", ".stage canvas", "#sheet-takes"):
             box = page.page.locator(name).bounding_box()
-            assert box["y"] >= 0 and box["y"] + min(box["height"], 60) <= 800, name
+            assert box["y"] >= 0 and box["y"] + box["height"] <= 800, name
+        assert page.value("document.documentElement.scrollHeight") <= 800  # one screen
     finally:
         page.page.set_viewport_size({"width": 1280, "height": 800})
 
@@ -438,6 +452,7 @@ def test_characters_are_dropped(page, tmp_path, kind):
         page.page.click("[aria-label=undo]")
         page.until("studio.character.value.state === 'ready' && studio.character.value.height < 3")
     if kind in ("pmx", "vrm"):
+        page.page.click("#body > summary")
         assert record["physics"] and page.page.locator("#apparel").count() == 1
     page.page.click("[aria-label='delete dropped']")
     page.until("studio.character.value?.name !== 'dropped'")
@@ -466,6 +481,44 @@ def test_a_motion_is_dropped(page, tmp_path, kind):
     page.page.click(".takes li:last-child .name")  # the first of all, that of the sample
     page.until("studio.take.value.how === 'animate'")
     assert page.page.input_value("#sentence") == page.value("studio.take.value.script[0].text")
+
+
+def test_a_broken_file_is_said_and_what_was_shown_stays(page, tmp_path):
+    before = page.value("[studio.character.value.id, studio.take.value.id]")
+    (tmp_path / "broken.glb").write_bytes(b"glTF" + bytes(60))
+    page.drop(tmp_path / "broken.glb")
+    page.until("studio.notice.value?.bad")
+    page.until(f"studio.character.value?.id === '{before[0]}'")
+    assert page.value("studio.take.value.id") == before[1]
+    save_character(sample_character("mushroom"), tmp_path / "whole.glb")
+    page.drop(tmp_path / "whole.glb")
+    page.until("studio.character.value?.name === 'whole' && studio.take.value?.state === 'done'")
+    page.page.click("[aria-label='delete whole']")
+
+
+def test_a_sample_that_is_open_is_chosen_and_not_asked_for_its_front(page):
+    page.page.click("#sample-dancer")
+    page.until("studio.character.value?.name === 'dancer' && studio.take.value?.state === 'done'")
+    assert page.page.locator(".fronts").count() == 0
+    page.page.click("#sample-dragon")
+    page.until("studio.character.value?.name === 'dragon'")
+    assert sorted(page.page.locator(".cast .list .name > span:not(.blank)").all_inner_texts()).count("dragon") == 1
+    page.page.click("[aria-label='delete dancer']")
+
+
+def test_undo_takes_back_the_words_and_the_path_with_the_take(page):
+    before = page.value("[studio.take.value.id, document.getElementById('sentence').value]")
+    page.value("studio.change('', { path: [[0, 0], [0, 1]] })")
+    page.type("jumps high")
+    page.page.keyboard.press("Escape")
+    page.page.click("[aria-label=undo]")
+    page.until(f"studio.take.value.id === '{before[0]}'")
+    assert page.page.input_value("#sentence") == before[1] and page.value("studio.doc.value.path") == []
+
+
+def test_directing_opens_one_row(page):
+    page.page.click("#fold")
+    assert page.page.locator(".row.thin").count() == 1
 
 
 def test_what_cannot_be_opened_is_said(page, tmp_path):
@@ -517,6 +570,7 @@ def test_scrubbing_puts_the_mesh_where_the_library_has_it(page):
 
 
 def test_learned_apparel_has_a_dial_and_is_where_the_library_has_it(page):
+    page.page.click("#body > summary")
     page.page.select_option("#apparel", "learn")
     page.page.click("#dress")
     page.until("studio.take.value.how === 'dress' && studio.take.value.state === 'done'")
@@ -631,7 +685,7 @@ def test_a_pin_is_dragged_and_a_span_is_made_anew(page):
 
 def test_a_path_is_drawn(page):
     page.page.keyboard.press("Escape")
-    page.page.click("text=draw a path")
+    page.page.keyboard.press("p")
     box = page.page.locator(".stage canvas").bounding_box()
     left, low = box["x"] + box["width"] * 0.3, box["y"] + box["height"] * 0.85
     page.page.mouse.move(left, low)

@@ -28,6 +28,7 @@ def dancer(tmp_path_factory):
             page.until("window.studio && studio.view() && studio.online.value")
             page.value(f"studio.change('', {{ character: '{one}', take: '{made['takes'][0]}' }})")
             page.shown()
+            page.page.click("#body > summary")
             yield page, one
     finally:
         studio.stop()

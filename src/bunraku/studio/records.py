@@ -93,6 +93,7 @@ class _CharacterFacts:
     clips: tuple[str, ...] = ()
     chains: tuple[_Chain, ...] = ()
     unchained: str = ""
+    sample: str = ""
     laid: _Count = 0
     painted: bool = False
 

@@ -77,7 +77,7 @@ def _sampled(state: State, sample: str) -> dict[str, Any]:
     from bunraku.files import sample_file
 
     file = sample_file(sample)
-    record = state.store.new("characters", _fresh(sample, ""))
+    record = state.store.new("characters", {**_fresh(sample, ""), "sample": sample})
     try:
         source = state.store.folder_of("characters", record["id"]) / "source"
         source.mkdir()
