@@ -143,7 +143,7 @@ async function refresh(): Promise<void> {
 
 /** Keep a picture of a character for its card, as it looks now. */
 async function photograph(owner: Character, view: Viewer): Promise<void> {
-  view.draw(true);
+  view.cutOut();
   const card = document.createElement("canvas");
   [card.width, card.height] = [192, 144];
   const { width, height } = view.canvas;

@@ -102,7 +102,7 @@ export class Viewer {
   private size = 1;
 
   constructor(holder: HTMLElement) {
-    this.renderer = new WebGLRenderer({ antialias: true, preserveDrawingBuffer: true });
+    this.renderer = new WebGLRenderer({ antialias: true, alpha: true, preserveDrawingBuffer: true });
     this.renderer.setPixelRatio(Math.min(devicePixelRatio, MOST_PIXELS));
     this.renderer.shadowMap.enabled = true;
     this.renderer.shadowMap.type = PCFShadowMap;
@@ -193,14 +193,14 @@ export class Viewer {
     const middle = new Vector3((low[0] + high[0]) / 2, (low[1] + high[1]) / 2, (low[2] + high[2]) / 2);
     const wide = Math.hypot(high[0] - low[0], high[2] - low[2]);
     const aspect = Math.max(this.canvas.clientWidth, 1) / Math.max(this.canvas.clientHeight, 1);
-    const away = Math.max((high[1] - low[1]) * 1.5, (wide * 1.2) / aspect) / (2 * Math.tan((FOV * Math.PI) / 360));
+    const away = Math.max((high[1] - low[1]) * 1.7, (wide * 1.25) / aspect) / (2 * Math.tan((FOV * Math.PI) / 360));
     const yaw = 0.56;
     const rise = 0.2;
     this.camera.near = this.size / 100;
     this.camera.far = this.size * 300;
     const [x, z] = this.root();
     this.followed = [x, z];
-    this.controls.target.set(middle.x + x, middle.y, middle.z + z);
+    this.controls.target.set(middle.x + x, middle.y - 0.07 * (high[1] - low[1]), middle.z + z); // room for the bar below its feet
     this.camera.position
       .set(Math.sin(yaw) * Math.cos(rise), Math.sin(rise), Math.cos(yaw) * Math.cos(rise))
       .multiplyScalar(away)
@@ -252,6 +252,17 @@ export class Viewer {
     const ratio = this.renderer.getPixelRatio();
     this.render(width / ratio, height / ratio);
     return true;
+  }
+
+  /** Draw the character alone, on nothing; what is drawn next is as ever. */
+  cutOut(): void {
+    const { background } = this.scene;
+    this.scene.background = null;
+    this.floor.group.visible = false;
+    this.draw(true);
+    this.floor.group.visible = true;
+    this.scene.background = background;
+    this.touch();
   }
 
   private render(width: number, height: number): void {
@@ -338,7 +349,7 @@ export class Viewer {
         const pinned = this.marks.pins.some((pin) => pin.part === end.part && Math.abs(pin.time - this.time) < 0.03);
         (ball.material as MeshBasicMaterial).color.set(pinned ? ACCENT : 0x2f7fd6);
         (ball.material as MeshBasicMaterial).opacity = 0.85;
-        ball.scale.setScalar(this.size * 0.022);
+        ball.scale.setScalar(this.size * 0.015);
         ball.userData["part"] = end.part;
         if (this.held?.gizmo !== ball) {
           ball.position.copy(carried(pane.model, end.handle, end.point));
