@@ -30,7 +30,8 @@ def main() -> None:
         settings = {"up": "auto", "front": "auto", "unit": "auto", "handles": "predict"}
         file = f"source/{NAME}.glb"
         fresh = {
-            "name": NAME, "file": file, "settings": settings, "sample": NAME, "state": "opening", "error": "", "version": 1,
+            "name": NAME, "file": file, "settings": settings, "sample": NAME,
+            "state": "opening", "error": "", "version": 1,
         }  # fmt: skip
         character = store.new("characters", fresh)
         source = store.folder_of("characters", character["id"]) / file
