@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -128,32 +128,6 @@ Mesh = tuple[np.ndarray, np.ndarray]
 def _outward(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
     a, b, c = (vertices[faces[:, i]] - vertices.mean(axis=0) for i in range(3))
     return (vertices, faces) if np.einsum("ij,ij->", a, np.cross(b, c)) > 0 else (vertices, faces[:, ::-1].copy())
-
-
-def sheet_mesh(
-    profile: np.ndarray, thickness: float, around: int,
-    shape: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray],
-) -> Mesh:  # fmt: skip
-    """A thin closed shell that hangs around +Y, such as a frill: an outer and an inner wall joined at both edges.
-
-    Args:
-        profile: Radius and height down the outer wall [m], shape (P, 2).
-        thickness: Distance of the two walls [m].
-        around: Vertices around.
-        shape: Maps radius, angle (0 at +Z, pi/2 at +X) and share of the way down (0..1), each (P, around), to points
-            (P, around, 3); the height of the profile is added to them.
-    """
-    angle = 2 * np.pi * np.arange(around) / around
-    down = np.linspace(0, 1, len(profile))
-    walls = []
-    for inset in (0.0, thickness):
-        r, a = np.broadcast_arrays(profile[:, :1] - inset, angle[None])
-        points = shape(r, a, np.broadcast_to(down[:, None], r.shape))
-        points[..., 1] += profile[:, 1:]
-        walls.append(points)
-    rows = np.concatenate([walls[0], walls[1][::-1]])
-    faces = sheet_faces(len(rows) + 1, around, wrap=True) % (len(rows) * around)
-    return _outward(rows.reshape(-1, 3), faces)
 
 
 def ring_mesh(
