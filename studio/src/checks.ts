@@ -31,6 +31,7 @@ function silhouette(view: Viewer, at: number, width: number, height: number, eye
   camera.position.fromArray(eye);
   camera.lookAt(new Vector3().fromArray(target));
   camera.aspect = width / height;
+  camera.zoom = 1;
   camera.updateProjectionMatrix();
   if (pane) {
     pose(pane.model, pane.clip, at);

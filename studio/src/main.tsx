@@ -332,6 +332,7 @@ if (root) {
   render(<App />, root);
   effect(() => {
     root.dataset["sheet"] = sheet.value;
+    root.dataset["several"] = String(comparing.value);
   });
   effect(() => {
     document.documentElement.dataset["theme"] = theme.value;

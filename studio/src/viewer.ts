@@ -100,6 +100,7 @@ export class Viewer {
   private stroke: [number, number][] = [];
   private readonly ray = new Raycaster();
   private size = 1;
+  private shape = 1; // width over height of the narrowest pane that holds the character at the camera's distance
 
   constructor(holder: HTMLElement) {
     this.renderer = new WebGLRenderer({ antialias: true, alpha: true, preserveDrawingBuffer: true });
@@ -193,6 +194,7 @@ export class Viewer {
     const middle = new Vector3((low[0] + high[0]) / 2, (low[1] + high[1]) / 2, (low[2] + high[2]) / 2);
     const wide = Math.hypot(high[0] - low[0], high[2] - low[2]);
     const aspect = Math.max(this.canvas.clientWidth, 1) / Math.max(this.canvas.clientHeight, 1);
+    this.shape = Math.min((wide * 1.25) / ((high[1] - low[1]) * 1.7 || 1), aspect);
     const away = Math.max((high[1] - low[1]) * 1.7, (wide * 1.25) / aspect) / (2 * Math.tan((FOV * Math.PI) / 360));
     const yaw = 0.56;
     const rise = 0.2;
@@ -292,6 +294,7 @@ export class Viewer {
       const wide = width / columns;
       const high = height / rows;
       this.camera.aspect = wide / high;
+      this.camera.zoom = Math.min(1, this.camera.aspect / this.shape);
       this.camera.updateProjectionMatrix();
       if (!pane.clip && pane.bound) {
         rest(pane.model);
