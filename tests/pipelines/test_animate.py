@@ -127,7 +127,7 @@ def test_other_bodies_move_and_hold_together(name):
 )
 def test_impossible_lengths_are_one_sentence(person, seconds, most):
     with pytest.raises(bunraku.OptionError, match=f"lasts 0.5 to {most} seconds"):
-        animate(person, PROMPT, seconds=seconds, handles=None)
+        animate(person, PROMPT, seconds=seconds)
 
 
 @pytest.mark.parametrize("prompt", ["", "   ", "walk " * 2000])

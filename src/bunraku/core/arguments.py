@@ -26,11 +26,16 @@ def checked(function: Callable[_Given, _Result]) -> Callable[_Given, _Result]:
 
     @functools.wraps(function)
     def call(*args: _Given.args, **kwargs: _Given.kwargs) -> _Result:
-        for name, value in _signature(function).bind(*args, **kwargs).arguments.items():
-            parts = _parts(str(function.__annotations__.get(name, "object")))
-            if not any(_fits(part, value, function.__globals__) for part in parts):
-                shown = repr(value) if isinstance(value, str | int | float | None) else type(value).__name__
-                raise OptionError(f"{name} must be {' or '.join(parts)}, not {shown[:60]}")
+        signature = _signature(function)
+        for name, given in signature.bind(*args, **kwargs).arguments.items():
+            annotation, kind = str(function.__annotations__.get(name, "object")), signature.parameters[name].kind
+            values = {name: given}
+            if kind in (inspect.Parameter.VAR_KEYWORD, inspect.Parameter.VAR_POSITIONAL):
+                values = given if isinstance(given, dict) else {f"{name}[{at}]": each for at, each in enumerate(given)}
+            for label, value in values.items():
+                if not any(_fits(part, value, function.__globals__) for part in _parts(annotation)):
+                    shown = repr(value) if isinstance(value, str | int | float | None) else type(value).__name__
+                    raise OptionError(f"{label} must be {_named(annotation)}, not {shown[:60]}")
         return function(*args, **kwargs)
 
     return call
@@ -49,6 +54,12 @@ def _parts(annotation: str) -> tuple[str, ...]:
         depth += (letter == "[") - (letter == "]")
         bare += letter if depth == 0 and letter != "]" else ""
     return tuple(part.strip() for part in bare.split("|"))
+
+
+def _named(annotation: str) -> str:
+    """An annotation in words: the values of a Literal, and the names of types without what stands in brackets."""
+    values = " or ".join(part for part in annotation.partition("Literal[")[2].partition("]")[0].split(", ") if part)
+    return " or ".join(values if part == "Literal" else part for part in _parts(annotation))
 
 
 def _fits(name: str, value: object, known: Mapping[str, Any]) -> bool:
