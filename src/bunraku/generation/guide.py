@@ -109,13 +109,14 @@ def laid(
         features = repeated(features[: int(HURRY * frames / found.times)], found.times)
     loop = _loop(pack, found)
     if loop is None and found.times == 1 and not (closed or manner.lasts):
-        features = timed(features, frames - int(random.integers(2 * _FADE)), 1 if manner.count else MOST_TIMES)
+        shorter = int(random.integers(min(2 * _FADE, frames // 2) + 1))
+        features = timed(features, frames - shorter, 1 if manner.count else MOST_TIMES)
     if closed:
         share = np.full(frames, loop is not None, np.float32)
         features = features[:1].repeat(frames, axis=0) if loop is None else circled(features, loop, frames)
         return Guide(statistics.normalise(features).astype(np.float32), share, made)
     if loop is None and len(features) > frames:
-        features = warped(features[: int(HURRY * frames)], frames)
+        features = warped(features[: int(random.uniform(TEMPO[0], 1) * HURRY * frames)], frames)  # seeds differ
     if loop is not None:
         length = round(random.uniform(*TEMPO) * (len(features) - 1))
         loop = round(loop[0] * length / (len(features) - 1)), round(loop[1] * length / (len(features) - 1))

@@ -67,21 +67,22 @@ def parse(prompt: str, seconds: float = 6.0, force: bool = False) -> Sentence:
     ]
     loop = any("loop" in said_traits(part.prompt) for part in parts)
     notes = [note for part in parts for note in part.notes]
-    notes += dict.fromkeys(_notes(frames, [part.english for part in parts]))
+    unknown = tuple(word for part in parts for word in part.unknown)
+    notes += dict.fromkeys(_notes(frames, [part.english for part in parts], unknown))
     return Sentence(
         prompt,
         "; ".join(part.english for part in parts),
         parts[0].language,
         tuple(_with_stances(frames)),
-        tuple(word for part in parts for word in part.unknown),
+        unknown,
         tuple(pair for part in parts for pair in part.corrected),
         (*notes, "it asks for a loop: add --loop (loop=True in Python)") if loop else tuple(notes),
         loop=loop,
     )
 
 
-def _notes(clauses: Sequence[Clause], texts: Sequence[str]) -> Iterator[str]:
-    """What of some texts is done in another way, or not at all, in their clauses."""
+def _notes(clauses: Sequence[Clause], texts: Sequence[str], unknown: Sequence[str]) -> Iterator[str]:
+    """What of some texts is done in another way, or not at all, in their clauses. Unknown words are told elsewhere."""
     from bunraku.language.reader import frames_of
 
     done = set()
@@ -93,7 +94,7 @@ def _notes(clauses: Sequence[Clause], texts: Sequence[str]) -> Iterator[str]:
                 yield f"'{frame.action}' is not known, and nothing like it"
             elif frame.shown != frame.action:
                 yield f"'{frame.action}' is not known; shown by what is nearest: {frame.shown}"
-        if not frames and clause.detail is None and not clause.locomotion:
+        if not (frames or unknown or clause.detail or clause.locomotion):
             yield f"nothing known is named in '{clause.text}'; its motion is a guess"
     for text in texts if len(clauses) > 1 else ():
         for frame in frames_of(text):
