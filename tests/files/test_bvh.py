@@ -198,7 +198,7 @@ def test_angles_do_not_jump(tmp_path):
         ("Frames: 2", "Frames: 3", "announces 3 frames of 9 numbers but is cut off"),
         ("0.04", "0", "frame time"),
         ("0.04", "nan", "frame time"),
-        ("0.04", "", "no number"),
+        ("0.04", "", "not a number"),
         ("MOTION", "MOTIONS", "'MOTIONS' where it makes no sense"),
         ("0 -40 0", "0 nan 0", "offset of its joint 'knee'"),
         ("0 -40 0", "0 -40", "offset of its joint 'knee'"),
@@ -276,11 +276,11 @@ def test_files_that_mean_harm_get_one_sentence(tmp_path):
     with pytest.raises(FormatError, match="CHANNELS"):
         read(tmp_path, (header % ("", 1)).replace("CHANNELS 1", "CHANNELS " + "9" * 5000) + "0")
     start = time.process_time()
-    with pytest.raises(FormatError, match="no number"):
+    with pytest.raises(FormatError, match="not a number"):
         read(tmp_path, header % ("", 1) + "1" * 100_000 + "x")
     assert time.process_time() - start < 5  # and not the square of the length
     with pytest.raises(FormatError, match="cut off"):
-        read(tmp_path, header % ("", 1) + " \n \n")  # blanks are no number
+        read(tmp_path, header % ("", 1) + " \n \n")  # blanks are not a number
     twice = (
         "".join(f"JOINT a{'_2' * depth}\n{{\nOFFSET 0 1 0\n}}\n" for depth in range(1100))
         + "JOINT a\n{\nOFFSET 0 1 0\n}\n"

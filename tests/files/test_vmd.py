@@ -97,7 +97,7 @@ def test_broken_files_get_one_sentence(tmp_path):
 
     refused = partial(hostile.refused, tmp_path / "take.vmd", read=load_vmd, errors=FormatError)
 
-    refused(b"MMD Motion" + good, "no VMD file")
+    refused(b"MMD Motion" + good, "not a VMD file")
     refused(good[:50] + b"\xff\xff\xff\xff" + good[54:], "announces 4294967295 bone keys but has room for 3")
     refused(good[:52], "cut off before its bone keys")
     refused(good[:150], "announces 2 bone keys")

@@ -129,7 +129,7 @@ def test_broken_parts_are_left_out_with_a_warning(tmp_path):
     for radius in (-1, "x", 10**400):
         model = warned(
             old(colliders=[{"node": 1, "colliders": [ball | {"radius": radius}, ball]}]),
-            "negative or no number and are left out: head",
+            "negative or not a number and are left out: head",
         )
         assert len(model.colliders) == 1 and model.groups == ((0,),)
     assert (

@@ -183,7 +183,7 @@ def test_motions_and_models_that_do_not_fit():
         mmd_motion(strange, motion)
     from bunraku.core.body.reference import reference_body
 
-    with pytest.raises(MotionError, match="no MMD model"):
+    with pytest.raises(MotionError, match="not an MMD model"):
         mmd_motion(reference_body().character(), motion)
 
 
@@ -390,5 +390,5 @@ def test_an_animation_of_an_mmd_character_is_saved_as_vmd(tmp_path):
     from bunraku.core.body.reference import reference_body
 
     person = reference_body().character()
-    with pytest.raises(FormatError, match="is none; transfer onto a .pmx"):
+    with pytest.raises(FormatError, match="not one; transfer onto a .pmx"):
         RigAnimation(person, np.tile(np.eye(3), (2, 22, 1, 1)), np.zeros((2, 22, 3))).save(tmp_path / "person.vmd")

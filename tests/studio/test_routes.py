@@ -153,7 +153,7 @@ def test_a_zip_is_a_character_with_its_textures(client, tmp_path):
     ("data", "part"),
     [
         (b"PK\x03\x04 no", "damaged"),
-        (packed(**{"..__..__evil.glb": b"x"}), "outside of its folder"),
+        (packed(**{"..__..__evil.glb": b"x"}), "outside its folder"),
         (packed(**{"a.txt": b"x"}), "no character in it"),
     ],
 )

@@ -69,6 +69,7 @@ def _fits(name: str, value: object, known: Mapping[str, Any]) -> bool:
         return (isinstance(value, Sequence) and not isinstance(value, str)) or getattr(value, "ndim", 0) > 0
     if name == "Literal":
         return isinstance(value, str)
+    name = name.rpartition(".")[2]
     kind = _KINDS.get(name, known.get(name))
     if isinstance(kind, type):
         return isinstance(value, kind)
