@@ -251,7 +251,9 @@ def test_broken_files_get_one_sentence(tmp_path):
         vertices = [*plank().vertices[:3], (*plank().vertices[3][:3], deform)]
         refused(pmx(plank(vertices=vertices)), match)
     refused(pmx(plank(bones=[Bone("あ", parent=40), *plank().bones])), "bone 0 has the parent 40")
-    refused(pmx(plank(bones=[Bone("あ", position=(np.nan, 0.0, 0.0)), *plank().bones])), "a position that is not a number")
+    refused(
+        pmx(plank(bones=[Bone("あ", position=(np.nan, 0.0, 0.0)), *plank().bones])), "a position that is not a number"
+    )
     refused(pmx(plank(vertices=[((np.nan, 0.0, 0.0), *plank().vertices[0][1:]), *plank().vertices[1:]])), "not numbers")
     refused(pmx(plank(vertices=[], triangles=[], materials=[])), "empty")
     old = pmd(plank())

@@ -99,7 +99,7 @@ def test_the_body_without_its_apparel_is_solid(character, body):
         ]
     )
     assert np.quantile(away, 0.95) < 0.004
-    with pytest.raises(CharacterError, match="all of it is apparel"):
+    with pytest.raises(CharacterError, match="the whole mesh counts as apparel"):
         BodyVolume.of(body, np.ones_like(mask))
 
 
@@ -163,7 +163,7 @@ def test_the_table_of_a_character(capsys):
 
 
 def test_a_character_without_apparel_is_named():
-    with pytest.raises(CharacterError, match="nothing of apparel"):
+    with pytest.raises(CharacterError, match="no apparel that physics move"):
         measure_physics(make_sample("person", 0.3, rigged=True))
 
 
