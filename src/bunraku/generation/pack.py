@@ -297,7 +297,12 @@ def write_pack(path: str | Path, pack: ExamplePack, notes: Mapping[str, object])
         "mirrored": texts[1, sided],
         "motions": np.rint(_STEPS * pack.motions).astype(np.int8),
     }
-    config = {"examples": table, "ranker": pack.ranker, "notes": notes, "stand": list(stand_well(pack))}
+    config: dict[str, object] = {
+        "examples": table,
+        "ranker": pack.ranker,
+        "notes": notes,
+        "stand": list(stand_well(pack)),
+    }
     return save_checkpoint(path, tensors, config, KIND, half=True)
 
 

@@ -81,7 +81,7 @@ def parse(prompt: str, seconds: float = 6.0, force: bool = False) -> Sentence:
     )
 
 
-def _notes(clauses: Sequence[Clause], texts: Sequence[str], unknown: Sequence[str]) -> Iterator[str]:
+def _notes(clauses: Sequence[Clause], texts: Sequence[str], unknown: Sequence[object]) -> Iterator[str]:
     """What of some texts is done in another way, or not at all, in their clauses. Unknown words are told elsewhere."""
     from bunraku.language.reader import frames_of
 
