@@ -114,12 +114,11 @@ def _with_stances(clauses: Iterable[Clause]) -> Iterator[Clause]:
         elif clause.actions:
             down = next((_STANCES[action] for action in reversed(clause.actions) if action in _STANCES), "")
             of_legs = any(lexicon().actions[action].part in ("", "legs") for action in clause.actions)
-            if clause.stance is not None:
-                pass
-            elif stance is not None and not down and not of_legs:
-                clause = replace(clause, stance=stance)
-            else:
-                stance = Stance(down) if down and "gets up" not in clause.traits else None
+            if clause.stance is None:
+                if stance is not None and not down and not of_legs:
+                    clause = replace(clause, stance=stance)
+                else:
+                    stance = Stance(down) if down and "gets up" not in clause.traits else None
         yield clause
 
 
