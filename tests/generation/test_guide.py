@@ -476,6 +476,13 @@ def test_what_a_clause_adds():
     assert {text: clause_of(text).added for text in added} == added
 
 
+def test_the_name_of_a_gesture_is_the_action_that_its_sentences_say(networks):
+    pack = networks.examples
+    named = [index for index, example in enumerate(pack.examples) if example.action]
+    assert len(named) == sum(pack.made) - 1  # the gesture of standing has no action
+    assert all(pack.said(index).actions == {pack.examples[index].action} for index in named)
+
+
 def test_what_no_motion_shows_is_said(networks):
     def unseen(prompt, **read):
         found, clauses = known(networks, prompt)

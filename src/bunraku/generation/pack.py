@@ -75,6 +75,11 @@ class Example:
         return self.name.startswith(MADE)
 
     @property
+    def action(self) -> str:
+        """The action of a gesture, by its name, so that its sentences need not be read; "" where that says none."""
+        return self.name.removeprefix(MADE).rpartition("_")[0].replace("_", " ") if self.made else ""
+
+    @property
     def idle(self) -> bool:
         """Whether it is of a person who stands, shifts the weight and breathes."""
         return self.name.endswith(IDLE)
@@ -139,7 +144,7 @@ class ExamplePack:
     @functools.cached_property
     def handled(self) -> tuple[int, ...]:
         """The gesture that stands for all that is done with things; none in a pack without it."""
-        return tuple(index for index, example in enumerate(self.examples) if example.name.startswith(f"{MADE}handle_"))
+        return tuple(index for index, example in enumerate(self.examples) if example.action == "handle")
 
     @functools.cached_property
     def standing_poses(self) -> dict[int, np.ndarray]:

@@ -154,6 +154,9 @@ def _retrieved(pack: ExamplePack, clause: Clause, vector: np.ndarray, let_go: fr
             made = bool(pack.made[index])
             if made and mirrored and not sided:  # made by code with the hand that most people take
                 continue
+            action = pack.examples[index].action
+            if action and query.actions != {action}:  # as `_does` would find by its sentences
+                continue
             said = pack.said(index)
             alike = not clause.actions or said.actions == query.actions
             same = bool(near[index] >= (LIKE if alike else SAME))
