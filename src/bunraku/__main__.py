@@ -16,9 +16,6 @@ if TYPE_CHECKING:
     from types import ModuleType
     from typing import Any
 
-__all__ = ["LAZY_MODULES", "LAZY_PARTS", "QUICK", "exit_fast", "lazy_imports", "run"]
-
-
 QUICK = ("animate", "edit", "inspect", "render", "rig", "samples", "transfer")
 """Commands that take seconds, so that the time of loading counts."""
 LAZY_MODULES = frozenset({

@@ -79,7 +79,7 @@ def test_what_has_no_form_says_so():
         to_json(Outer(1, matrix=object()))
 
 
-LIMITS = [name for name in request.__all__ if isinstance(getattr(request, name), request.Limit)]
+LIMITS = [name for name in vars(request) if isinstance(getattr(request, name), request.Limit)]
 
 
 @pytest.mark.parametrize("name", LIMITS)

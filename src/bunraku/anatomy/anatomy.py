@@ -29,9 +29,6 @@ from bunraku.core.geometry.surface import extreme_points, part_extremes, vertex_
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import CharacterError
 
-__all__ = ["Anatomy", "decimated", "reference_anatomy"]
-
-
 CELLS = 8000  # about how many vertices the surface is left with
 MANY = 12000  # characters with fewer vertices are left as they are
 # By definition: the mean of |x| + |y| + |z| of unit normals is 3/2.

@@ -17,22 +17,6 @@ from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.rotations import axis_angle_from_matrix, inverses
 from bunraku.core.geometry.surface import vertex_areas
 
-__all__ = [
-    "Joints",
-    "LimbView",
-    "attach_joints",
-    "by_limb",
-    "downwards",
-    "estimated_reference_joints",
-    "find_joints",
-    "further_limbs",
-    "limb_views",
-    "reference_joints",
-    "reference_parts",
-    "refined_joints",
-]
-
-
 # Tried in a short run of the sample person and dog: 0.7 and 1.4 times OVERLAP, TRACE or CLOSE change nothing, 0.7 times
 # PRESENT moves the dog by up to 3 cm.
 PRESENT = 2e-3  # share of the surface under which a handle counts as absent and follows its parent

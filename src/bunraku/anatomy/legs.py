@@ -20,12 +20,6 @@ from bunraku.core.geometry.surface import extreme_points, part_extremes
 from bunraku.core.skinning import skin
 from bunraku.errors import CharacterError
 
-__all__ = [
-    "BodyPlan", "Leg", "NEAR", "Reach", "carry", "check_plans", "find_arms", "find_legs", "move_feet", "plan_of",
-    "standing", "stride_scale",
-]  # fmt: skip
-
-
 # Chosen by eye on the characters of the archive.
 NEAR = 0.15  # largest distance from the end of a leg of a lying body to the lowest point, over the height
 SHORTEST = 0.12  # least length of a leg, over the height; shorter ones are fins and stubs

@@ -18,19 +18,6 @@ from bunraku.core.geometry.rotations import matrix_from_axis_angle, rotation_bet
 from bunraku.core.geometry.surface import surface_points
 from bunraku.core.skinning import skin
 
-__all__ = [
-    "WHOLE_LIMBS",
-    "block_joints",
-    "block_rest",
-    "flat_feet",
-    "pieces",
-    "rest_of_limbs",
-    "rest_rotations",
-    "stance_of",
-    "upright",
-]
-
-
 _LIMB_ENDS = {"shoulder": "elbow", "elbow": "wrist", "hip": "knee", "knee": "ankle"}
 _FOLLOWERS = {f"{side}_{part}": f"{side}_elbow" for side in ("left", "right") for part in ("wrist", "fingers")}
 _BUILT_BENT = ([30, 45, 70, 80], [1, 0, 0, 1])  # how far a bent leg is straightened, by its angle [degrees]

@@ -17,8 +17,6 @@ from bunraku.core.geometry.graph import clean_mesh, mesh_parts, unique_edges
 from bunraku.core.geometry.surface import surface_points, vertex_areas
 from bunraku.errors import OptionError
 
-__all__ = ["Scene", "find_scene", "separated"]
-
 # Lengths are shares of the height of what stands above the ground. All were chosen by eye on the sample person, whole
 # and in pieces, on plates, plinths and columns.
 TOUCH = 0.008  # pieces nearer than this touch, those at twice the distance may

@@ -27,11 +27,6 @@ from bunraku.core.skinning import skin
 from bunraku.errors import CharacterError
 from bunraku.retarget.rig_parts import RigParts
 
-__all__ = [
-    "BodyDepth", "BodyPoints", "BodyVolume", "UnifiedBody", "Unposed", "body_depth", "body_points", "eq4_transforms",
-    "nearest_index", "nearest_point",
-]  # fmt: skip
-
 
 @dataclass(frozen=True, eq=False)
 class UnifiedBody:

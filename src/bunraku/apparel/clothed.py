@@ -12,11 +12,6 @@ import numpy as np
 from bunraku.core.body.layout import JOINT_COUNT, JOINT_NAMES
 from bunraku.errors import CharacterError
 
-__all__ = [
-    "ClothedCharacter", "FREE", "GRAVITY", "LEGS", "LOADS", "NARROW", "NORMAL_STIFFNESS", "SIZE", "SOFTEST", "STIFFEST",
-    "SWING_NUMBERS", "Swing", "guessed_swing", "part_stiffness",
-]  # fmt: skip
-
 LEGS = tuple(
     JOINT_NAMES.index(f"{side}_{part}") for part in ("hip", "knee", "ankle", "foot") for side in ("left", "right")
 )

@@ -15,11 +15,6 @@ from bunraku.core.geometry.axes import directions_about, goes_round
 from bunraku.core.geometry.curves import smooth_step
 from bunraku.core.geometry.graph import clean_mesh, unique_edges
 
-__all__ = [
-    "carried", "eased_border", "fitted_clothes", "fitted_rig", "joint_weights_of_handles", "joints_of_handles",
-    "without_worn",
-]  # fmt: skip
-
 # Shares of a part, and lengths over the size [m]. All were chosen by eye.
 BESIDE = 0.1  # what arms hold so little of hangs on no arm, however near one is
 WORN = 0.9  # a part of which a limb holds so much is carried by it

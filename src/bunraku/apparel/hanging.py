@@ -15,8 +15,6 @@ from bunraku.core.body.layout import JOINT_NAMES, sided
 from bunraku.core.geometry.axes import ROUND, covered, direction_bins, directions_about, goes_round
 from bunraku.core.geometry.graph import clean_mesh, mesh_parts, unique_edges
 
-__all__ = ["hanging_mask"]
-
 # Lengths over the height. All were chosen by eye.
 LIKELY, UNLIKELY = 0.5, 0.15  # mean likelihood of a loose piece that is apparel as a whole, or not at all
 HAIR = 0.04  # mean likelihood from which on a piece that comes down from the skull is hair

@@ -20,8 +20,6 @@ from bunraku.apparel.nodes import apparel_parts
 from bunraku.core.geometry.curves import gaussian, smooth_step
 from bunraku.core.geometry.surface import vertex_normals
 
-__all__ = ["Layers"]
-
 # Chosen by eye on clips of the wardrobe; benchmarks/apparel_layers.py measures what they do.
 LEG = 0.6  # weight of the legs in what counts as a leg
 ROUNDS = 2  # of what lies over what, since there may be three layers

@@ -14,11 +14,6 @@ from bunraku.core.files import read_bounded
 from bunraku.errors import FormatError
 from bunraku.files import read_gltf, read_ply
 
-__all__ = [
-    "APPAREL_SHARE", "apparel_mask", "artist_mask", "artist_mask_file", "file_beside", "moved_joints",
-    "read_artist_mask",
-]  # fmt: skip
-
 SUFFIXES = (".apparel.npy", ".apparel.txt", ".apparel.ply", ".apparel.glb")
 
 

@@ -16,11 +16,6 @@ from bunraku.apparel.clothed import FREE, NARROW, ClothedCharacter, Swing, guess
 from bunraku.core.geometry.graph import clean_mesh, mesh_parts, unique_edges
 from bunraku.core.nn.layers import Linear, Norm, Weights, gelu, normed
 
-__all__ = [
-    "ApparelNodes", "EdgeBlock", "NEIGHBOURS", "NodeGraph", "apparel_nodes", "apparel_parts", "clothed_with_springs",
-    "held_vertices", "node_swing", "part_lengths", "part_neighbours", "surface_distances", "whole_pieces",
-]  # fmt: skip
-
 MOSTLY = 0.4  # of a loose piece's points: a piece of which so many are apparel is apparel
 LARGE = 0.3  # of all points: a piece with more may be the body itself; chosen by eye
 

@@ -51,9 +51,6 @@ if TYPE_CHECKING:
     from bunraku.language.sentence import Sentence
     from bunraku.pipelines.animator import Body
 
-__all__ = ["Animate", "Clip", "characters_of", "clips_of", "passes", "read_lines"]
-
-
 LIMIT = 10_000
 
 

@@ -17,8 +17,6 @@ from typing import Any, get_type_hints
 
 from bunraku.errors import NotUnderstood, OptionError, is_fault, sentence_of
 
-__all__ = ["VERBS", "Verbs", "all_verbs", "main"]
-
 Verbs = dict[tuple[str, ...], tuple[str, str, str]]
 """Words -> module, its attribute that is the verb, one line of help."""
 

@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from bunraku.core.animation import AnimatedCharacter
     from bunraku.generation.library import Clip
 
-__all__ = ["Clips", "Samples"]
-
 
 @dataclass(frozen=True)
 class Clips:

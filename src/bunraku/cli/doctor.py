@@ -15,8 +15,6 @@ from pathlib import Path
 
 from bunraku.cli.outputs import size_text
 
-__all__ = ["Doctor", "Finding"]
-
 PACKAGES = ("numpy", "scipy", "fast-simplification", "av")
 WEIGHTS = {
     "handles": "no character can be rigged; `bunraku animate` and `bunraku rig` do not work",

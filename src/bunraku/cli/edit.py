@@ -32,8 +32,6 @@ from bunraku.pipelines.requests import Constraints, Keep, Pose, Request
 if TYPE_CHECKING:
     from bunraku.core.animation import Animation
 
-__all__ = ["Edit", "Merge"]
-
 
 @dataclass(frozen=True)
 class Edit(GeneratingOptions):

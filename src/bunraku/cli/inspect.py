@@ -22,10 +22,6 @@ if TYPE_CHECKING:
     from bunraku.core.motion import Skeleton
     from bunraku.files import Document
 
-__all__ = [
-    "Inspect", "apparel_facts", "avatar_facts", "describe", "say_chain", "say_part", "shape_facts", "vmd_facts",
-]  # fmt: skip
-
 
 def avatar_facts(character: Character) -> dict[str, Any]:
     """Bones, physics and apparel of a PMX, PMD or VRM file; nothing of any other character."""

@@ -18,12 +18,6 @@ from bunraku.core.files import remove_leftovers
 from bunraku.core.request import from_json, to_json
 from bunraku.errors import BunrakuError, FormatError
 
-__all__ = [
-    "check_free", "exclusive_output", "fingerprint", "is_result", "note_begun", "note_done", "note_written",
-    "unfinished",
-]  # fmt: skip
-
-
 SINGLE = "single"
 """The mark of results that no batch made."""
 MANIFEST = ".bunraku-ledger.jsonl"

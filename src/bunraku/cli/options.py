@@ -23,14 +23,6 @@ if TYPE_CHECKING:
     from bunraku.core.travel import GroundPath
     from bunraku.retarget.pins import Pin
 
-__all__ = [
-    "ApparelOptions", "AxisOption", "DirectingOptions", "EditSamplingOptions", "FeelOption", "GeneratingOptions",
-    "WhichOptions", "PinOption", "ProgramOption", "SamplingOptions", "SkeletonOption", "StandingOptions",
-    "UnitOption", "check_axes", "parse_jobs", "parse_path", "parse_pin", "resolve_file", "said_axes", "stand_up",
-    "stands_line",
-]  # fmt: skip
-
-
 SkeletonOption = Annotated[Literal["mixamo", "vrm", "unreal"] | None, tyro.conf.arg(help_behavior_hint="")]
 ProgramOption = Annotated[
     Literal["unity", "unreal", "godot", "blender", "three", "vrchat"] | None,

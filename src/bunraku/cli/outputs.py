@@ -31,12 +31,6 @@ if TYPE_CHECKING:
     from bunraku.files import Preset
     from bunraku.language.sentence import Sentence
 
-__all__ = [
-    "OutputOption", "PREVIEWS", "PreviewOption", "Result", "WithoutOption", "check_different", "check_folder",
-    "check_input", "check_mask", "check_output", "check_outputs", "check_range", "check_sequence", "check_source",
-    "check_stages", "check_written", "fitting_stages", "make_results", "run_results", "save_all", "save_clips_to",
-    "say_failed", "size_text", "slug", "stages", "unfinished_results", "written_files", "written_path", "wrote",
-]  # fmt: skip
 SHORT = 0.5
 """Stages that are over in less [s] get no line where lines are printed; chosen by eye."""
 

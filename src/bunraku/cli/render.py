@@ -17,8 +17,6 @@ from bunraku.errors import FormatError, OptionError
 if TYPE_CHECKING:
     from bunraku.core.animation import Animation
 
-__all__ = ["Render"]
-
 
 @dataclass(frozen=True)
 class Render:

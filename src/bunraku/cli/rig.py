@@ -23,9 +23,6 @@ if TYPE_CHECKING:
     from bunraku.core.avatars import MmdModel, VrmModel
     from bunraku.core.character import Character
 
-__all__ = ["Rig"]
-
-
 _SKELETONS = {".vrm": "vrm", ".pmx": "vrm"}
 """Whose skeleton a format has that knows no handles."""
 

@@ -23,9 +23,6 @@ from bunraku.pipelines.requests import Apparel, Constraints, Request, Sampling, 
 if TYPE_CHECKING:
     from bunraku.core.animation import AnimatedCharacter
 
-__all__ = ["Answer", "Serve", "Tools", "mcp_server"]
-
-
 PICTURE_FRAMES = 6
 """Moments that the picture of an animation shows."""
 APPAREL = ("none", "rigid", "simulate", "learn", "auto")

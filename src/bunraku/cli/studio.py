@@ -14,8 +14,6 @@ from bunraku.cli.manifest import check_free
 from bunraku.cli.outputs import check_folder, check_output, check_range, wrote
 from bunraku.core.files import atomic_write, writing
 
-__all__ = ["BlenderAddon", "ComfyuiNodes", "GodotAddon", "Studio", "write_addon"]
-
 
 @dataclass(frozen=True)
 class Studio:

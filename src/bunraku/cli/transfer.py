@@ -45,11 +45,6 @@ if TYPE_CHECKING:
     from bunraku.pipelines.transfer import Source
     from bunraku.retarget.stages import Stages
 
-__all__ = [
-    "Pair", "Transfer", "animation_of", "batches", "clips_for", "names_of", "pairs_of",
-    "transfer_pairs",
-]  # fmt: skip
-
 
 @dataclass(frozen=True)
 class Transfer:

@@ -21,8 +21,6 @@ from bunraku.core.saving import Shown
 from bunraku.core.skinning import skin
 from bunraku.errors import CharacterError, MotionError
 
-__all__ = ["AnimatedCharacter", "Animation", "PointAnimation", "RigAnimation", "bone_order", "end_to_start"]
-
 
 @dataclass(frozen=True, repr=False)
 class Animation(Shown):

@@ -10,8 +10,6 @@ from typing import Any, ParamSpec, TypeVar
 
 from bunraku.errors import OptionError
 
-__all__ = ["checked"]
-
 _Given = ParamSpec("_Given")
 _Result = TypeVar("_Result")
 _KINDS: dict[str, type] = {"float": numbers.Real, "int": numbers.Integral, "Mapping": Mapping, "Iterable": Iterable}

@@ -15,11 +15,6 @@ import numpy as np
 
 from bunraku.errors import FormatError
 
-__all__ = [
-    "MAX_ARRAY_BYTES", "lzma_filters", "npz_names", "open_npz", "pack_steps", "read_member", "read_npy",
-    "refuse_objects", "unpack_steps",
-]  # fmt: skip
-
 MAX_ARRAY_BYTES = 1 << 30
 MAX_GROWTH = 200
 """An array may unpack to this many times the size of its file; motion packs to a half or a third."""

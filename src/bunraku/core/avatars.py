@@ -7,12 +7,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = [
-    "MMD_METRE", "MmdAppend", "MmdBody", "MmdBone", "MmdIk", "MmdIkLink", "MmdJoint", "MmdModel", "MmdMorph", "MmdSdef",
-    "VrmCollider", "VrmModel", "VrmSpring", "VrmSpringJoint", "mmd_angles", "mmd_model", "mmd_points", "mmd_rotation",
-    "vrm_model", "warning_sentences",
-]  # fmt: skip
-
 MMD_METRE = 0.08
 """Length of one MMD unit [m]. MMD defines none; its first character, Hatsune Miku, is 158 cm tall by her makers, and
 about 20 units in her model.

@@ -12,8 +12,6 @@ from bunraku.core.avatars import MmdModel, VrmModel
 from bunraku.core.geometry.surface import vertex_areas
 from bunraku.errors import CharacterError, MotionError
 
-__all__ = ["Character", "Handles", "Rig", "frozen_array", "top_influences"]
-
 
 def frozen_array(
     array: Any, dtype: Any, shape: tuple[int | None, ...], what: str, error: type[MotionError] | None = None

@@ -18,11 +18,6 @@ from urllib.parse import unquote
 
 from bunraku.errors import FormatError
 
-__all__ = [
-    "MAX_BYTES", "MAX_TEXT_BYTES", "atomic_write", "check_input", "check_output_folder", "check_text", "path_inside",
-    "open_input", "open_once", "share_file", "read_bounded", "remove_leftovers", "temporary_prefix", "writing",
-]  # fmt: skip
-
 MAX_BYTES = 2 << 30
 """Largest file that is read [bytes]."""
 

@@ -11,8 +11,6 @@ if TYPE_CHECKING:  # `typing` takes as long
     from types import FrameType
     from typing import NoReturn
 
-__all__ = ["interrupt", "is_command_line", "exit_interrupted", "watch_interrupts"]
-
 
 def is_command_line() -> bool:
     """Whether Python was started to run the command line: as `bunraku` or as `python -m bunraku`."""

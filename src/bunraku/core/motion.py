@@ -15,11 +15,6 @@ from bunraku.core.saving import Saved
 from bunraku.core.skinning import handle_offsets, posed_points
 from bunraku.errors import MotionError, OptionError
 
-__all__ = [
-    "HandleMotion", "MeshMotion", "SkeletalMotion", "Skeleton", "check_rate", "checked_fps", "line_up",
-    "local_rotations", "resample", "resample_motion",
-]  # fmt: skip
-
 
 def _array(value: Any, shape: tuple[int | None, ...], what: str, dtype: Any = np.float32) -> np.ndarray:
     return frozen_array(value, dtype, shape, what, MotionError)

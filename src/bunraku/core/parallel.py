@@ -21,8 +21,6 @@ from typing import Any, ParamSpec, TypeVar
 
 from bunraku.errors import MissingExtraError
 
-__all__ = ["MOST_JOBS", "Pool", "THREADS", "one_thread_each", "run_parallel"]
-
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Variables that set how many threads libraries use; libraries read them when they are loaded."""
 _PR_SET_PDEATHSIG = 1

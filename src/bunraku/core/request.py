@@ -26,11 +26,6 @@ from typing import (
 
 from bunraku.errors import OptionError
 
-__all__ = [
-    "CANDIDATES", "Constraint", "FPS", "GRAVITY", "GUIDANCE", "Limit", "Progress", "SECONDS", "SEED", "STEPS",
-    "STIFFNESS", "TAKES", "WHOLE", "from_json", "option", "parse_json", "read_json", "storable", "to_json",
-]  # fmt: skip
-
 Progress = Callable[[str, float], None]
 """Called with the name of a stage and the share of it that is done, 0 to 1."""
 

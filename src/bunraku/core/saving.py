@@ -12,8 +12,6 @@ from typing import Any
 
 from bunraku.errors import BunrakuError
 
-__all__ = ["Saved", "Shown", "provide", "provided"]
-
 _provided: dict[str, str] = {}
 
 

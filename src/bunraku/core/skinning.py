@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["RigidBones", "decomposed", "handle_offsets", "part_means", "posed_points", "register", "skin"]
-
 Array = Any  # numpy.ndarray, or a tensor
 
 

@@ -15,11 +15,6 @@ from bunraku.core.motion import HandleMotion
 from bunraku.core.request import Constraint
 from bunraku.errors import OptionError
 
-__all__ = [
-    "GroundPath", "bent_to_path", "closed_loop", "follow", "in_place", "moved", "placed_at", "put_back",
-    "put_back_runs", "repeated",
-]  # fmt: skip
-
 MOST = 200
 """Points of a path."""
 DENSE = 64

@@ -27,8 +27,6 @@ from bunraku.files.gltf.write_rig import save_rig_clips
 from bunraku.files.motions.arrays import read_npz_motion, read_positions, read_reference
 from bunraku.files.registry import load_character, load_with_clips
 
-__all__ = ["Clip", "bones_of", "clip_names", "load_animation", "load_clip", "load_clip_animation", "merge"]
-
 SAME = 1e-3
 """Handles this near are the same, as a share of the character's largest extent: the rounding of float32 in files stays
 far below it.

@@ -25,11 +25,6 @@ from bunraku.files.gltf.open import open_document
 from bunraku.files.gltf.write import write_clips
 from bunraku.files.gltf.write_rig import save_rig_clips, with_still
 
-__all__ = [
-    "PRESETS", "Preset", "on_root_bone", "on_the_spot", "preset_named", "preset_rows", "root_bone", "save_clips",
-    "save_for",
-]  # fmt: skip
-
 
 def on_the_spot(animation: AnimatedCharacter) -> AnimatedCharacter:
     """The animation without its travel over the ground; what sways faster than half a second stays. Animations whose

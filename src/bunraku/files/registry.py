@@ -23,12 +23,6 @@ from bunraku.core.saving import provided
 from bunraku.errors import BunrakuError, CharacterError, FormatError, MotionError, OptionError, WeightsError
 from bunraku.files.gltf.read import rotated, scaled
 
-__all__ = [
-    "READERS", "UNIT_CHOICES", "UNIT_NAMES", "WRITERS", "SettledUnit", "check_unit", "check_writer",
-    "holds_character", "in_metres", "load_character", "load_with_clips", "read_motion", "resolve_unit", "save",
-    "save_character",
-]  # fmt: skip
-
 _USD = (".usd", ".usda", ".usdc", ".usdz")
 
 READERS: dict[str, dict[str, str]] = {

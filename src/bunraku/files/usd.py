@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from bunraku.core.character import Handles
     from bunraku.core.motion import HandleMotion
 
-__all__ = ["Look", "Piece", "add_mesh", "check_available", "pieces", "prim_name", "write_points", "write_usd"]
-
 _WRAP = {33071: "clamp", 33648: "mirror", 10497: "repeat"}
 
 

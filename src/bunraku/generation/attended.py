@@ -20,8 +20,6 @@ from bunraku.generation.pack import ExamplePack, load_examples
 from bunraku.language.captions import mirror_words
 from bunraku.language.encoders import TextBatch, TextEncoder, text_encoder
 
-__all__ = ["ExampleBank", "example_bank", "take_of"]
-
 
 def take_of(name: str) -> str:
     """The take of a clip, of a stretch of one or of a turn cut out of one: `cmu_13_29_jacks@40` -> `cmu_13_29`,

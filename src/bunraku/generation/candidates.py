@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from bunraku.generation.ranking import Candidate
     from bunraku.generation.sampler import Solver
 
-__all__ = ["GUIDANCE", "STEPS", "SamplingSettings", "arrive", "draw_candidates", "frames_of", "way_of"]
-
 STILL = 0.3  # m/s; a loop whose root goes no faster than this, all in all, is meant to stay where it is
 
 

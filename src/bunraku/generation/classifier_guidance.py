@@ -18,8 +18,6 @@ from bunraku.generation.denoiser import Denoiser
 from bunraku.generation.extractor import LONGEST, SHORTEST, Extractor
 from bunraku.generation.sampler import ROOT
 
-__all__ = ["Critic", "ClassifierGuidance", "Spoken"]
-
 STRENGTH = 0.2  # root mean square of a step, in standard deviations of the features
 LAST = 100  # step of the sampler below which nothing is guided: what is left there are details
 SPREAD = 2.0  # standard deviation of the smoothing [frames]

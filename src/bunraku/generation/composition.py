@@ -19,10 +19,6 @@ from bunraku.generation.verifier import asks_to_turn
 from bunraku.language.posing import Posing
 from bunraku.language.sentence import Clause
 
-__all__ = [
-    "PartTrack", "clause_spans", "overlaid", "steadied", "straightened", "turned_as_asked", "unturned", "with_limbs",
-]  # fmt: skip
-
 _SAVITZKY_GOLAY = np.array([-3, 12, 17, 12, -3]) / 35
 """Least-squares parabolas through five frames (Savitzky & Golay 1964): nothing changes below 3 Hz, half goes at 6."""
 # Chosen by eye on sheets of generated motion.

@@ -29,11 +29,6 @@ from bunraku.generation.layers import (
     waves,
 )
 
-__all__ = [
-    "Denoiser", "EXAMPLE_TOKENS", "FEW_STEPS_KIND", "FewSteps", "RetrievedExamples", "fingerprint", "joint_offsets",
-    "load_denoiser", "load_denoiser_of_few_steps", "load_few_steps", "text_encoder_name",
-]  # fmt: skip
-
 EXAMPLE_TOKENS = 2
 """Motion tokens whose frames share one token of an example: examples need less detail, and attention to them costs
 half.

@@ -16,11 +16,6 @@ from bunraku.core.nn.layers import Linear, Norm, Weights, gelu, gelu_slope, soft
 from bunraku.generation.features import FEATURE_SIZE
 from bunraku.language.encoders import TextBatch, TextEncoder
 
-__all__ = [
-    "Extractor", "ExtractorConfig", "FARTHEST", "KIND", "LONGEST", "RADIUS", "RANKER", "SHORTEST", "embed_motions",
-    "embed_sentences", "load_critic", "load_extractor", "load_ranker", "sentence_vectors",
-]  # fmt: skip
-
 KIND, RANKER = "extractor", "ranker"  # kinds of checkpoints: the judge, and the ranker
 LONGEST = 196  # frames that the ranker sees at once; longer parts are cut into pieces
 SHORTEST = 8  # parts of fewer frames are not judged

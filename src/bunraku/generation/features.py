@@ -27,11 +27,6 @@ from bunraku.core.geometry.rotations import heading, matrix_from_6d, matrix_to_6
 from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.errors import MotionError
 
-__all__ = [
-    "body_handle_motion", "decode", "encode", "feature_mask", "FEATURE_SIZE", "feature_weights", "FeatureStatistics",
-    "HANDLE_SIZE", "mirror", "root_velocities", "ROOT_SIZE", "standing_legs",
-]  # fmt: skip
-
 ROOT_SIZE, HANDLE_SIZE = 10, 9
 FEATURE_SIZE = ROOT_SIZE + HANDLE_SIZE * (HANDLE_COUNT - 1)
 _SIX_SIGNS = np.array([1, -1, -1, -1, 1, 1], np.float32)

@@ -15,7 +15,7 @@ from bunraku.core.body.layout import HANDLE_COUNT, kept_handles
 from bunraku.core.motion import HandleMotion
 from bunraku.core.travel import FADE, GroundPath, _fade, moved, placed_at, put_back, put_back_runs
 from bunraku.errors import MotionError, OptionError
-from bunraku.generation.candidates import GUIDANCE, STEPS, SamplingSettings, arrive, draw_candidates, frames_of, way_of
+from bunraku.generation.candidates import SamplingSettings, arrive, draw_candidates, frames_of, way_of
 from bunraku.generation.features import FEATURE_SIZE, FeatureStatistics, decode, encode, feature_mask
 from bunraku.language.parse import clauses_of
 from bunraku.language.sentence import Clause
@@ -24,11 +24,6 @@ if TYPE_CHECKING:
     from bunraku.generation.denoiser import Denoiser
     from bunraku.generation.guide import GuidanceExample, GuidanceExamples
     from bunraku.generation.ranking import Candidate
-
-__all__ = [
-    "SamplingSettings", "GUIDANCE", "STEPS", "adapt", "continue_motion", "edit_motion", "generate_motion",
-    "generate_motions", "generated_runs", "pose_frames", "span_frames",
-]  # fmt: skip
 
 _APART = 1_000_003  # between the noise of a motion's candidates, so that none is that of another motion of the batch
 

@@ -26,11 +26,6 @@ from bunraku.language.sentence import Clause
 if TYPE_CHECKING:
     from bunraku.gestures.pose import Gesture
 
-__all__ = [
-    "CROUCH", "GuidanceExample", "GuidanceExamples", "Guide", "circled", "fits_into", "goes_on", "laid",
-    "laid_script", "pose_distance", "timed", "warped",
-]  # fmt: skip
-
 HURRY, SLOWED = 1.35, 1.25
 """Largest factors by which an example that is done once is sped up and slowed down to fill its time; chosen by eye."""
 TEMPO = (0.93, 1.08)  # factors between which a loop is drawn longer: two seeds of one example differ; chosen by eye

@@ -13,11 +13,6 @@ from bunraku.core.nn.checkpoints import config_of
 from bunraku.core.nn.layers import Attention, Memory, Norm, Rotary, Weights, apply_rotary, hidden_by, split_heads
 from bunraku.generation.features import FEATURE_SIZE
 
-__all__ = [
-    "Condition", "DecoderLayer", "DenoiserConfig", "PRESETS", "TRAINING_STEPS", "denoiser_config", "rotary_positions",
-    "waves",
-]  # fmt: skip
-
 TRAINING_STEPS = 1000  # of noise, from the clean motion on; a sampler visits some of them
 
 _RETIRED = ("architecture", "convolution")

@@ -20,8 +20,6 @@ from bunraku.errors import OptionError, WeightsError
 if TYPE_CHECKING:
     from bunraku.generation.pack import ExamplePack
 
-__all__ = ["Clip", "Source", "all_clips", "clip", "features_of", "search"]
-
 _NAME, _TAG, _SENTENCE, _ACTION = 3.0, 2.0, 1.0, 2.0
 """Weight of a word in the name, in a tag or in the sentence of a clip, and of a common action."""
 _BEGUN = 0.5  # share of that for a word of which the beginning is typed

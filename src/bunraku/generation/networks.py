@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from bunraku.generation.extractor import Extractor
     from bunraku.generation.pack import ExamplePack
 
-__all__ = ["Networks", "Texts"]
-
 
 @dataclass(frozen=True)
 class Networks:

@@ -26,11 +26,6 @@ if TYPE_CHECKING:
     from bunraku.core.motion import SkeletalMotion
     from bunraku.gestures.pose import Gesture
 
-__all__ = [
-    "BUSY", "FPS", "IDLE", "KIND", "MADE", "OWN", "Example", "ExamplePack", "Said", "fingerprint", "load_examples",
-    "packed_stretch", "read_pack", "said_by", "stand_well", "unpacked_stretch", "write_pack",
-]  # fmt: skip
-
 KIND = "examples"
 FPS = 20.0
 MADE = "gesture_"  # beginning of the names of examples made by code

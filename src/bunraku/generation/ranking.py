@@ -17,8 +17,6 @@ from bunraku.generation.features import decode
 from bunraku.generation.verifier import Verdict, verify
 from bunraku.language.sentence import Clause
 
-__all__ = ["Candidate", "choose", "script_scores", "script_verdict"]
-
 # Chosen by eye on sheets of generated motion.
 WEIGHT = 0.5
 """Of the agreement beside a cosine; candidates' cosines differ by a tenth. Chosen by eye, as are the next two."""

@@ -20,8 +20,6 @@ from bunraku.language.phrasing import tells_all
 from bunraku.language.posing import Posing
 from bunraku.language.sentence import Clause
 
-__all__ = ["Found", "Retrieved", "retrieve"]
-
 # Chosen by eye on sheets of generated motion.
 MOST = 8  # examples that are offered for a sentence
 NEAR = 0.12

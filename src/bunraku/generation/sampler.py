@@ -17,11 +17,6 @@ from bunraku.generation.features import FeatureStatistics
 from bunraku.generation.layers import TRAINING_STEPS
 from bunraku.language.encoders import TextBatch
 
-__all__ = [
-    "Noise", "Predictor", "Sample", "Solver", "Steering", "Window", "alphas_cumprod", "between", "dpm_solver",
-    "guided", "row_noise", "sample_windows", "sampling_steps", "token_share",
-]  # fmt: skip
-
 _BITS = 24
 _LANES = 16
 """Numbers that are drawn together: the first half are lengths, the second angles (Box & Muller 1958)."""

@@ -8,8 +8,6 @@ from bunraku.core.geometry.curves import smooth_step
 from bunraku.generation.features import FeatureStatistics, decode
 from bunraku.generation.track import Track
 
-__all__ = ["END", "held", "join_point", "on_one_leg", "played", "rests", "splice"]
-
 END = 4  # frames that tell whether a motion rests
 _BLEND = 6
 

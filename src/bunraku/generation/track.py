@@ -12,8 +12,6 @@ from bunraku.core.geometry.curves import gaussian, running_least
 from bunraku.core.geometry.rotations import heading, matrix_y
 from bunraku.core.motion import HandleMotion
 
-__all__ = ["SIDES", "Track", "smooth"]
-
 SIDES = ("left", "right")
 _PARTS = ("ankle", "foot", "wrist", "elbow", "shoulder", "hip")
 _NAMES = [f"{side}_{part}" for side in SIDES for part in _PARTS] + ["head_top", "head"]

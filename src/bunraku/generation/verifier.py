@@ -13,8 +13,6 @@ from bunraku.language.lexicon import lexicon, stays_down
 from bunraku.language.posing import Posing
 from bunraku.language.sentence import Clause
 
-__all__ = ["CLAIMS", "TURNS", "Claim", "Verdict", "asks_to_turn", "onset", "verify"]
-
 # Chosen by eye with sentences of `bunraku evaluate motion --only viewer` in view, where nothing else is said.
 _LEVEL = 0.15  # m below the shoulder, from where on a hand is up
 _RISES = 0.15  # m; a hand or foot that is so much higher than the other is the one that is meant

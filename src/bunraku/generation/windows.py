@@ -16,8 +16,6 @@ from bunraku.generation.denoiser import Denoiser
 from bunraku.generation.sampler import Sample, Solver, Steering, Window, row_noise, sample_windows
 from bunraku.language.encoders import TextBatch
 
-__all__ = ["Plan", "drawn_noise", "plan_windows", "sample_plans"]
-
 OVERLAP = 28  # frames that two windows share
 SHORTEST = 40  # frames; training saw hardly anything shorter
 

@@ -35,12 +35,6 @@ from bunraku.gestures.pose import (
 )
 from bunraku.gestures.standing import SIDES
 
-__all__ = [
-    "Part", "PlaceRow", "STANDING", "at_part", "gesture_of", "gesture_row", "gestures", "hand_row", "part_in",
-    "place_pose", "pose_row", "read_gestures", "read_parts", "read_places", "things_file",
-]  # fmt: skip
-
-
 FILE = Path(__file__).with_name("gestures.toml")
 _SECTION = re.compile(r"^(?=\[)", re.MULTILINE)
 """Before each header of a table."""

@@ -33,8 +33,6 @@ from bunraku.gestures.pose import (
 from bunraku.gestures.standing import SIDES
 from bunraku.language.interactions import Contact, Gaze, Handling, Interaction, Terrain
 
-__all__ = ["TerrainGait", "interaction_gesture", "read_terrain_gaits"]
-
 
 @functools.lru_cache(maxsize=512)
 def interaction_gesture(interaction: Interaction) -> Gesture:

@@ -31,9 +31,6 @@ from bunraku.gestures.standing import AT, SIDES, still
 from bunraku.language.limb_phrases import Target
 from bunraku.language.posing import Posing, Stance, Step
 
-__all__ = ["in_stance", "limb_gesture", "limbed", "stance_pose", "way_down"]
-
-
 AHEAD, SIDE, BACK, TWIST = 28.0, 25.0, 34.0, 46.0
 """How far the trunk leans or twists as usual [degrees]."""
 

@@ -21,9 +21,6 @@ from bunraku.gestures.standing import AT, SIDES
 from bunraku.language.limb_phrases import Target
 from bunraku.language.posing import Stance
 
-__all__ = ["ARM", "LOW", "hand_of", "low_place", "postures", "with_legs"]
-
-
 FILE = Path(__file__).with_name("postures.toml")
 ARM = 0.625
 """From the shoulder to the palm of a straight arm, measured on the reference body [m]."""

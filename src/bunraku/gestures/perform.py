@@ -14,9 +14,6 @@ from bunraku.gestures.pose import HANGING, Gesture, Key, Pose, moved
 from bunraku.gestures.standing import AT, SIDES, Standing, captured, mirrored, swaying
 from bunraku.language.posing import AS_USUAL, Manner
 
-__all__ = ["FOLLOWS", "Variation", "accompanied", "performed"]
-
-
 FOLLOWS = {
     "turn": (23.8, -4.5, -37.3),
     "lean left": (18.4, -2.6, -29.2),

@@ -16,9 +16,6 @@ from bunraku.core.motion import SkeletalMotion, local_rotations
 from bunraku.gestures.pose import HANGING, STEP, Foot, Gesture, Hand, Key, Pose
 from bunraku.gestures.standing import AT, PALM, SIDES, Standing, swaying
 
-__all__ = ["CARRIERS", "FPS", "FootTrack", "HandTrack", "Tracks", "gesture_motion", "posed"]
-
-
 CARRIERS: dict[str, int | None] = {"head": AT["head"], "chest": AT["spine3"], "hips": AT["pelvis"], "ground": None}
 """The joint that carries a hand, by what carries it; none for the ground."""
 

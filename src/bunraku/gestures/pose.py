@@ -11,12 +11,6 @@ import numpy as np
 
 from bunraku.core.geometry.curves import MonotoneCurve
 
-__all__ = [
-    "Foot", "Gesture", "HANGING", "Hand", "Key", "Pose", "Repeat", "STEP", "Vector", "added", "again", "foot_on",
-    "mirrored_pose", "moved", "repeated_gesture", "through", "vector",
-]  # fmt: skip
-
-
 Vector = tuple[float, float, float]
 
 

@@ -11,10 +11,6 @@ from bunraku.core.body.reference import reference_body
 from bunraku.core.geometry.rotations import heading, matrix_y
 from bunraku.core.motion import SkeletalMotion
 
-__all__ = [
-    "AT", "PALM", "SIDES", "Hanging", "Planted", "Standing", "captured", "mirrored", "stands_well", "still", "swaying",
-]  # fmt: skip
-
 AT = {name: index for index, name in enumerate(JOINT_NAMES)}
 """Numbers of the joints by their names."""
 SIDES = (("left", 1.0), ("right", -1.0))

@@ -14,9 +14,6 @@ from typing import Any
 
 from bunraku.language.lexicon import lexicon
 
-__all__ = ["caption_table", "conjugate", "creature_words", "is_known_clause", "known_phrases", "mirror_words"]
-
-
 _VERB = re.compile(r"\{(\w+)\}")
 _MIRRORED = {
     "left": "right",

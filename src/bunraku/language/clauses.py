@@ -12,13 +12,6 @@ from bunraku.language.lexicon import actions_of, lexicon, said_cues, said_traits
 from bunraku.language.limb_phrases import names_limb
 from bunraku.language.posing import Posing, posing_of
 
-__all__ = [
-    "SHORTEST_CLAUSE", "as_caption", "as_parsed", "as_present", "handed_on", "limbs_described", "moved_part",
-    "of_creature", "of_person", "parts_of", "passing", "shared", "split_clauses", "split_voices", "subject_of",
-    "timed_clauses", "with_subject",
-]  # fmt: skip
-
-
 GOING, LEAST_GOING = 2.5, 1.5
 """Seconds that walking and the like are worth beside what is done once, and the least that they get before all get
 less; chosen by eye.

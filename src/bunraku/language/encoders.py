@@ -23,11 +23,6 @@ from bunraku.errors import MissingExtraError, WeightsError
 from bunraku.language.lexicon import lexicon, said_cues
 from bunraku.language.tokenizer import WordPieces, encoder_file, read_header
 
-__all__ = [
-    "CLIPEncoder", "CUES", "CuedEncoder", "MiniLMEncoder", "RARE", "SCALES", "TEXT_LENGTH", "TextBatch", "TextEncoder",
-    "encoder_of", "sentence_cues", "text_encoder",
-]  # fmt: skip
-
 TEXT_LENGTH = 30
 
 

@@ -23,8 +23,6 @@ from bunraku.errors import WeightsError
 from bunraku.language.foreign_words import fold, spaced_words
 from bunraku.language.word_table import Concept
 
-__all__ = ["KIND", "SURE", "Tagger", "TaggerConfig", "Unit", "load_tagger", "reach_of", "tagged", "units"]
-
 KIND = "tagger"
 SURE = 0.5
 """The probability from which a word is taken for a movement; set on pairs that were neither trained on nor measured."""

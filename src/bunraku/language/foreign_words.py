@@ -13,9 +13,6 @@ from typing import NamedTuple
 from bunraku.language.prompts import narrow
 from bunraku.language.word_table import Concept, forms
 
-__all__ = ["fold", "scan_spaced", "scan_unspaced", "spaced_words"]
-
-
 _TOKEN = re.compile(r"[^\W\d_]+['’]|[^\W\d_]+|\d+|[.,;:!?…]")
 _PIECE = re.compile(r"[^\W\d_]+'|[^\W\d_]+~?|\d+")
 _ENDINGS = {

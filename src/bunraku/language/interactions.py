@@ -26,11 +26,6 @@ from bunraku.language.phrasing import (
 from bunraku.language.things import Gaze, Kind, Named, named_in, things
 from bunraku.language.vocabulary import action_stems, stem
 
-__all__ = [
-    "Contact", "Gaze", "Handling", "HandlingStep", "Interaction", "Place", "Terrain", "interaction_of", "read_as",
-    "says_more", "thing_words", "with_names",
-]  # fmt: skip
-
 
 class Contact(NamedTuple):
     """What hands do with a thing."""

@@ -10,13 +10,6 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import Any, NamedTuple
 
-__all__ = [
-    "Action", "Lexicon", "Otherwise", "Pattern", "actions_of", "goes_ahead", "in_known_words", "is_cyclic", "lexicon",
-    "locomotion_of", "longest_pattern", "main_actions", "said_cues", "said_otherwise", "said_phrases", "said_traits",
-    "stays_down", "uncovered", "words_of",
-]  # fmt: skip
-
-
 GESTURES_COVER = ("idle", "raise arm", "talk", "twist", "put down", "reach", "stretch")
 """Actions that a sentence that says a gesture says no more."""
 

@@ -11,8 +11,6 @@ from typing import NamedTuple
 from bunraku.language.lexicon import lexicon, longest_pattern, words_of
 from bunraku.language.vocabulary import FUNCTION_WORDS
 
-__all__ = ["LIMBS", "OTHER", "Phrase", "Target", "names_limb", "participle", "phrases_of", "segments_of", "targets_of"]
-
 LIMBS: dict[str, str] = lexicon().limbs["parts"]
 """The limb of each part of the body that can go somewhere."""
 OTHER = {"left": "right", "right": "left"}

@@ -29,9 +29,6 @@ from bunraku.language.understood import check_understood
 if TYPE_CHECKING:
     from bunraku.language.reader import Frame
 
-__all__ = ["INSTEAD", "KINDS", "clause_of", "clauses_of", "for_body", "parse"]
-
-
 _STANCES = {"sit": "seat", "kneel": "kneel", "both knees": "both knees", "lie": "back", "squat": "squat"}
 """The `Stance` after an action."""
 

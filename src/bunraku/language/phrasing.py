@@ -11,11 +11,6 @@ from bunraku.language.captions import caption_table
 from bunraku.language.lexicon import actions_of, lexicon, said_phrases, words_of
 from bunraku.language.vocabulary import FUNCTION_WORDS, action_stems, caption_stems, stem, stems
 
-__all__ = [
-    "added_words", "body_stems", "count_of", "does_else", "named_hands", "names_a_thing", "object_of", "tells_all",
-    "unseen_word", "verbs_in", "way_in", "zone_of",
-]  # fmt: skip
-
 
 def verbs_in(words: Sequence[str], verbs: Mapping[str, str]) -> list[tuple[int, str]]:
     """The numbers of the words that are verbs of a table, and what each says. No verb stands after "the" and "from"; a

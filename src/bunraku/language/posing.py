@@ -14,9 +14,6 @@ from typing import NamedTuple
 from bunraku.language.lexicon import actions_of, lexicon, said_phrases, words_of
 from bunraku.language.limb_phrases import LIMBS, OTHER, Phrase, Target, participle, phrases_of, segments_of, targets_of
 
-__all__ = ["AS_USUAL", "Manner", "Posing", "Stance", "Step", "posing_of"]
-
-
 _LEGS = frozenset(("leg", "knee", "heel"))
 _LOW = frozenset(("knee", "leg", "heel", "floor", "buttocks"))
 """Places that hands reach with the help of the whole body."""

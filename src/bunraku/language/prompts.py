@@ -10,11 +10,6 @@ from collections.abc import Sequence
 from bunraku.core.request import WHOLE
 from bunraku.errors import OptionError
 
-__all__ = [
-    "LONGEST", "SHORTEST", "check_prompt", "narrow", "parse_sequence", "plain_words", "split_name", "timed_sequence",
-]  # fmt: skip
-
-
 PROMPT_LIMIT = 1000
 _NAMED = re.compile(r"\s*(?P<name>[^=;:]{1,60}?)\s*=\s*(?P<prompt>.+)", re.DOTALL)
 _BEFORE = " \t\"'“”„«»‘’`:;,.-*"

@@ -22,10 +22,6 @@ from bunraku.language.encoders import MiniLMEncoder, text_encoder
 from bunraku.language.lexicon import actions_of, lexicon, uncovered, words_of
 from bunraku.language.prompts import plain_words
 
-__all__ = [
-    "FIELDS", "KIND", "SURE", "Frame", "Reader", "dequantised", "frames_of", "load_reader", "nearest",
-]  # fmt: skip
-
 KIND = "reader"
 FIELDS: dict[str, tuple[str, ...]] = {
     "side": ("left", "right", "both"),

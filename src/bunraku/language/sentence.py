@@ -16,8 +16,6 @@ from bunraku.language.posing import Posing, Stance
 if TYPE_CHECKING:
     from bunraku.language.reader import Frame
 
-__all__ = ["Clause", "Sentence", "Turn", "UnknownWord", "in_stretches"]
-
 SHORT = 0.5
 """A rest of a clause that is shorter than this stays with it [s]; chosen by eye."""
 

@@ -28,8 +28,6 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 from bunraku.language.lexicon import lexicon
 
-__all__ = ["Gaze", "Ground", "Kind", "Named", "Things", "named_in", "things"]
-
 _LONGEST = 3
 """Words of a noun at the most."""
 Value = TypeVar("Value")

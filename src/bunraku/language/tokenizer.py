@@ -16,9 +16,6 @@ from pathlib import Path
 from bunraku.core.files import PACKAGE_WEIGHTS, weights_file
 from bunraku.errors import WeightsError
 
-__all__ = ["WordPieces", "encoder_file", "read_header", "word_pieces"]
-
-
 FIRST, LAST, UNKNOWN = "[CLS]", "[SEP]", "[UNK]"
 LONGEST_WORD = 100
 _IDEOGRAPHS = (

@@ -14,9 +14,6 @@ from bunraku.language.lexicon import actions_of, goes_ahead, lexicon
 from bunraku.language.vocabulary import words_of
 from bunraku.language.word_table import Concept, table
 
-__all__ = ["VerbPhrase", "Translation", "clauses_of", "english_sentence", "head_of", "translate", "with_article"]
-
-
 _ADJECTIVES_ONLY = frozenset({"old", "young", "big", "small"})
 _NAMES = ("", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
 

@@ -25,8 +25,6 @@ from bunraku.language.word_table import LANGUAGES
 if TYPE_CHECKING:
     from bunraku.language.translation import Translation
 
-__all__ = ["Understanding", "check_understood", "understood"]
-
 _SHARE = 0.25
 """Share of a sentence's words that must be known: "lorem ipsum dolor sit amet" is no way to sit. Chosen by eye."""
 _SURE = 0.6

@@ -15,12 +15,6 @@ from bunraku.language.captions import caption_table, creature_words, known_phras
 from bunraku.language.lexicon import actions_of, lexicon
 from bunraku.language.tokenizer import word_pieces
 
-__all__ = [
-    "FILE", "FUNCTION_WORDS", "Word", "action_stems", "caption_stems", "corrected", "is_known", "known_words",
-    "own_words", "says_action", "slips", "stem", "stems", "words_of", "write_own_words",
-]  # fmt: skip
-
-
 FILE = "own_words.json"
 """Its name, in a folder of weights."""
 _MOST_OWN_WORDS = 100_000

@@ -19,8 +19,6 @@ from dataclasses import dataclass
 
 from bunraku.language.captions import caption_table
 
-__all__ = ["LANGUAGES", "Concept", "forms", "table"]
-
 LANGUAGES = {"de": "German", "fr": "French", "es": "Spanish", "ja": "Japanese", "zh": "Chinese"}
 
 

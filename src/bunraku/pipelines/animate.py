@@ -29,8 +29,6 @@ from bunraku.pipelines.requests import Apparel, Constraints, Keep, Pose, Request
 from bunraku.retarget.fit import Stages
 from bunraku.retarget.pins import Pin, meet_pins
 
-__all__ = ["animate", "edit", "edited", "generate", "opened", "rig", "with_skeleton"]
-
 
 def opened(character: Character | str | Path) -> Character:
     """A character, read where its file is given; see `bunraku.load_character`."""

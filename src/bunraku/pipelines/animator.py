@@ -35,9 +35,6 @@ from bunraku.retarget.stages import Stages
 if TYPE_CHECKING:
     from bunraku.retarget.rig_parts import RigParts
 
-__all__ = ["AT_ONCE", "Animator", "Body", "alike", "cell_progress", "left_out", "own_rig"]
-
-
 LEAST = 0.1
 """Seconds between two pictures of a bar; chosen by eye."""
 

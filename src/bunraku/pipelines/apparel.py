@@ -45,7 +45,6 @@ from bunraku.pipelines.clothes import (
 )
 from bunraku.pipelines.requests import Apparel
 
-__all__ = ["animated_clothed", "chained", "dressed", "learned", "shipped_displacement"]
 RATE = 30.0
 RELAID = 3
 """How often chains are laid anew without the parts that they tear."""

@@ -20,10 +20,6 @@ from bunraku.retarget.pins import meet_pins
 if TYPE_CHECKING:
     from bunraku.retarget.rig_parts import RigParts
 
-__all__ = [
-    "GENERATED_STAGES", "apply_motion", "apply_rigged", "apply_simulated", "fitted_motion", "reference_of",
-    "reference_path",
-]  # fmt: skip
 GENERATED_STAGES = Stages(shape=True)
 """The stages that run by default."""
 

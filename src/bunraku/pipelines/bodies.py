@@ -17,12 +17,6 @@ from bunraku.language.parse import INSTEAD, for_body
 from bunraku.language.sentence import Sentence
 from bunraku.retarget.locomotion import moved_so
 
-__all__ = [
-    "BodyFacts", "PartFact", "adapt_to_body", "body_facts", "body_kind", "apply_locomotion", "moves_as_people",
-    "adapt_sentence",
-]  # fmt: skip
-
-
 LEAST = 0.004
 """Share of the surface above which a part, or apparel, counts as found; chosen by eye."""
 SURE, LIKELY = 0.85, 0.7

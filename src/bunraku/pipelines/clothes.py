@@ -27,11 +27,6 @@ from bunraku.core.character import Character, Handles
 from bunraku.errors import CharacterError
 from bunraku.retarget.engine_skeleton import on_skeleton, t_pose
 
-__all__ = [
-    "body_of_handles", "clothed_of", "with_apparel_chains", "rig_with_chains", "separate_apparel",
-    "excess_apparel_note", "may_have_apparel",
-]  # fmt: skip
-
 _HEAD = JOINT_NAMES.index("head")
 MOST = 0.75
 """Share of the surface above which an apparel mask is doubted; chosen by eye."""

@@ -23,8 +23,6 @@ from bunraku.language.prompts import check_prompt
 from bunraku.pipelines.animator import Animator, Body
 from bunraku.pipelines.requests import Constraints, Follow, Request, Sampling, is_cycle
 
-__all__ = ["Live", "live"]
-
 WINDOW = 2.0
 """Seconds that are drawn at once: the shortest in which the network takes a step with each foot."""
 LEAD = 0.25

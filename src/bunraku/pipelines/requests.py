@@ -36,13 +36,6 @@ if TYPE_CHECKING:
     from bunraku.retarget.fit import Stages
     from bunraku.retarget.pins import Pin
 
-__all__ = [
-    "APPAREL", "Apparel", "CONSTRAINTS", "Constraints", "Follow", "HANDLES", "InPlace", "Keep", "Loop", "ONTO",
-    "Pose", "RATE", "RIGS", "Request", "Sampling", "TransferRequest", "check_handles", "clip_names", "is_cycle",
-    "with_loops",
-]  # fmt: skip
-
-
 APPAREL = ("auto", "none", "rigid", "simulate", "chains", "learn")
 """How apparel may move, beside a mask; "rigid" is another word for "none"."""
 MASKS = (".npy", ".txt", ".ply", ".glb")

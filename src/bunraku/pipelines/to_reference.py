@@ -23,8 +23,6 @@ from bunraku.pipelines.motions.read import Motion
 from bunraku.retarget.creatures import CreatureMotion, motion_of_handles, motion_of_rig, motion_of_skeleton
 from bunraku.retarget.rig_parts import RigParts
 
-__all__ = ["creature_motion", "reference_motion"]
-
 _CHUNK = 200  # frames registered at once, which bounds the memory
 TALL = 0.85
 """A moving mesh stands where its mean height over its lowest point reaches this share of what it lastingly is. Raised

@@ -35,10 +35,6 @@ from bunraku.retarget.rig_parts import RigParts
 from bunraku.retarget.stages.feet import is_treadmill
 from bunraku.retarget.to_rig import fit_rig
 
-__all__ = [
-    "TRANSFER_STAGES", "Source", "fitted_transfer", "played_by_mmd", "same_skeleton", "transfer",
-    "transferred",
-]  # fmt: skip
 _log = logging.getLogger(__name__)
 TRANSFER_STAGES = Stages(hands=True, shape=True)
 """The stages that run by default: those of fitting, hands that touch the body stay near it, and the mesh keeps its

@@ -16,9 +16,6 @@ from bunraku.files import with_still
 from bunraku.render.renderer import SoftwareRenderer, draw_parallel
 from bunraku.render.stage import YAW, Background, Camera, Framing, build_surface, set_stage, view_axes
 
-__all__ = ["HANDLE_PALETTE", "handle_colors", "moments", "render_animation", "render_frames", "render_still"]
-
-
 # Spread over the colours that can be told apart on a grey stage: any two are at least 30 apart in CIELAB, and parents
 # and
 # children, left and right, and handles with one parent at least 60.

@@ -10,8 +10,6 @@ import numpy as np
 from bunraku.render import reference
 from bunraku.render.native import native
 
-__all__ = ["accumulate_normals", "draw_grid", "drop_shadow", "measure", "project", "rasterise", "shade", "soften"]
-
 
 def _call(name: str, *arguments: Any) -> bool:
     """Call a compiled loop; False where there is none.

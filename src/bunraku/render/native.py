@@ -15,8 +15,6 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-__all__ = ["Native", "compile_kernels", "native"]
-
 VARIABLE = "BUNRAKU_KERNELS"
 SOURCE = Path(__file__).with_name("kernels.c")
 # Infinities mark empty texels, so of the fast-math rules only those that respect them.

@@ -14,8 +14,6 @@ import numpy as np
 from bunraku.core.files import check_output_folder, share_file
 from bunraku.errors import FormatError, MissingExtraError, OptionError
 
-__all__ = ["assemble", "check_target", "contact_sheet", "page", "write_moving", "write_png"]
-
 MOVING = (".mp4", ".webp", ".gif")
 SUFFIXES = (*MOVING, ".png")
 

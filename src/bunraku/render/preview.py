@@ -23,8 +23,6 @@ from bunraku.render.stage import YAW, Background, parse_background
 if TYPE_CHECKING:
     from bunraku.core.animation import AnimatedCharacter
 
-__all__ = ["MOST_BYTES", "orientation_views", "save_preview", "save_still", "write_html"]
-
 CELL = (240, 280)
 Progress = Callable[[int, int], None]
 

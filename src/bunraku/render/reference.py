@@ -9,11 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-__all__ = [
-    "LINE_WIDTH", "Drawn", "Lighting", "ShadowMap", "View", "accumulate_normals", "draw_grid", "drop_shadow", "measure",
-    "project", "rasterise", "rays", "shade", "soften",
-]  # fmt: skip
-
 # Four samples a pixel on a rotated grid, as the standard pattern of Direct3D places them.
 SAMPLES = ((0.375, 0.125), (0.875, 0.375), (0.125, 0.625), (0.625, 0.875))
 LINE_WIDTH = 0.016

@@ -23,8 +23,6 @@ from bunraku.render.stage import (
     srgb_from_linear,
 )
 
-__all__ = ["SoftwareRenderer", "draw_parallel"]
-
 
 class SoftwareRenderer:
     """Draws frames of one surface on one stage; for one thread at a time. Faces that reach behind the eye are left out

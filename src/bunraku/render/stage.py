@@ -11,11 +11,6 @@ import numpy as np
 from bunraku.errors import OptionError
 from bunraku.render.reference import rays
 
-__all__ = [
-    "Backdrop", "Camera", "Framing", "Shadows", "Stage", "Surface", "build_backdrop", "build_surface", "cast_shadows",
-    "compress_highlights", "linear_from_srgb", "parse_background", "set_stage", "srgb_from_linear", "view_axes",
-]  # fmt: skip
-
 FIELD_OF_VIEW = np.deg2rad(26.0)
 YAW = np.deg2rad(32.0)
 ELEVATION = np.deg2rad(13.0)

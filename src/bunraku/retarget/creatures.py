@@ -28,21 +28,6 @@ from bunraku.retarget.rig_parts import RigParts
 from bunraku.retarget.to_reference import bones_to_handles, motion_to_reference
 from bunraku.retarget.to_rig import fit_rig
 
-__all__ = [
-    "CreatureMotion",
-    "Limbs",
-    "Stance",
-    "find_limbs",
-    "find_stance",
-    "fit_creature",
-    "fit_creature_rig",
-    "motion_of_handles",
-    "motion_of_rig",
-    "motion_of_skeleton",
-    "stick_character",
-]
-
-
 WIDTH = 0.12  # of a bone, over its length
 STUB = 0.3  # length of what a joint without children carries, over the bone above it
 _FACES = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 1], [5, 2, 1], [5, 3, 2], [5, 4, 3], [5, 1, 4]])

@@ -19,8 +19,6 @@ from bunraku.core.skinning import skin
 from bunraku.errors import CharacterError, OptionError
 from bunraku.files import Source
 
-__all__ = ["carried", "on_skeleton", "t_pose"]
-
 
 def on_skeleton(anatomy: Anatomy, names: str, weights: np.ndarray | None = None) -> Character:
     """A person's mesh in a T-pose on a tree of joints.

@@ -22,8 +22,6 @@ from bunraku.retarget.stages.shape import Shape, Smooth
 from bunraku.retarget.stages.stage import Fitting, Stage
 from bunraku.retarget.stages.trailing import Lag, Tail, TailClear
 
-__all__ = ["POSING", "STAGES", "Stages", "fit_motion", "posed", "running"]
-
 STAGES: tuple[Stage, ...] = (
     Smooth(), Gait(), Blocks(), RestPose(), Legless(), Fins(), Tail(), Front(), Swings(), Attach(), Shape(), Level(),
     Ground(), Soles(), Support(), Feet(), Hands(), HandsClear(), Lag(), TailClear(), Floor(),

@@ -24,9 +24,6 @@ from bunraku.retarget.fit import posed
 from bunraku.retarget.stages.ground import Ground
 from bunraku.retarget.stages.trailing import Tail
 
-__all__ = ["HOVER", "in_air", "laid", "moved_so", "wing_swing", "wings_carry"]
-
-
 _LYING_LINE = [HANDLE_NAMES.index(name) for name in ("spine1", "spine2", "spine3", "tail", "tail_tip")]
 _FRONT = [HANDLE_NAMES.index(name) for name in ("neck", "head", "head_top", "face")]
 """Parts that may rise."""

@@ -20,19 +20,6 @@ from bunraku.errors import MotionError
 from bunraku.files import VMD_FPS, MmdClip, VmdMotion, load_vmd
 from bunraku.retarget.mmd_pose import MmdPoses, pose_mmd
 
-__all__ = [
-    "mmd_animation",
-    "mmd_clip",
-    "mmd_motion",
-    "mmd_poses_to_smpl",
-    "model_of",
-    "play_vmd",
-    "standard_bones",
-    "standard_model",
-    "vmd_motion",
-]
-
-
 MOST_TRANSFORMS = 20_000_000  # of all bones in all frames: 1 GB
 
 

@@ -14,9 +14,6 @@ from bunraku.core.avatars import MmdIk, MmdIkLink, MmdModel
 from bunraku.core.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 from bunraku.errors import MotionError
 
-__all__ = ["MmdPoses", "check_work", "pose_mmd", "pose_work"]
-
-
 MOST = 200_000  # bones placed in one frame; large models with inverse kinematics in their hair need a tenth
 MOST_IN_ALL = 1_000_000_000  # bones placed in all frames: minutes
 

@@ -26,8 +26,6 @@ from bunraku.core.request import Constraint
 from bunraku.errors import OptionError
 from bunraku.retarget.stages.stage import with_feet_moved
 
-__all__ = ["PINNED", "LimbEnd", "Pin", "end_positions", "limb_ends", "meet_pins"]
-
 PINNED = ("left_hand", "right_hand", "left_foot", "right_foot")
 """Parts that can be pinned; of further limbs of a kind the first."""
 _PART_OF = {"wrist": "hand", "elbow": "hand", "fingers": "hand", "ankle": "foot", "knee": "foot", "foot": "foot"}

@@ -30,8 +30,6 @@ from bunraku.core.motion import Skeleton, line_up
 from bunraku.errors import CharacterError
 from bunraku.files import Source
 
-__all__ = ["HUMANOID", "RigParts", "is_humanoid_rig", "understood_rig"]
-
 HUMANOID = (
     0,
     *(

@@ -19,17 +19,6 @@ from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.core.skinning import register, skin
 from bunraku.retarget.rig_parts import RigParts
 
-__all__ = [
-    "bones_to_handles",
-    "handle_animation",
-    "handle_motion_of_body",
-    "handle_motion_of_mesh",
-    "motion_to_reference",
-    "registered_body",
-    "rig_to_reference",
-]
-
-
 _TAIL = [HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")]
 
 

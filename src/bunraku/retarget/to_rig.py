@@ -16,8 +16,6 @@ from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.mmd_pose import pose_mmd
 from bunraku.retarget.rig_parts import RigParts
 
-__all__ = ["copied_bones", "fit_rig", "on_bones", "stiff"]
-
 
 def stiff(motion: HandleMotion) -> HandleMotion:
     """A motion of the reference body with all joints held, as bones hold them."""

@@ -26,12 +26,6 @@ if TYPE_CHECKING:
     from bunraku.anatomy.anatomy import Anatomy
     from bunraku.apparel.chains.chain_rig import Chained
 
-__all__ = [
-    "WORN", "apparel_mask_of", "chain_facts", "chains_of", "check_fits", "clean_mask", "dress_take", "found_mask",
-    "has_apparel", "paint", "painted_file", "redress_take", "save_worn", "shown_mask",
-]  # fmt: skip
-
-
 WORN = "worn.bin"
 """What is found of a character, beside its mesh."""
 _MAGIC = b"BNRM"

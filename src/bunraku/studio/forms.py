@@ -29,13 +29,6 @@ if TYPE_CHECKING:
     from bunraku.retarget.fit import Stages
     from bunraku.retarget.pins import Pin
 
-__all__ = [
-    "ChangeForm", "CharacterForm", "ClipsForm", "Drawn", "DressForm", "ExportForm", "LiveForm", "MOST_PARTS",
-    "MOST_SEED", "MOST_WORDS", "Motion", "Part", "PoseForm", "TIME", "TakeForm", "TakeRecordForm", "check_asked",
-    "read_path", "read_pins", "read_script", "script_json", "sequence_of", "stages_without",
-]  # fmt: skip
-
-
 MOST_SEEDS = 8
 MOST_SEED = 2**53
 """Seeds are less, so that a browser knows them exactly."""

@@ -18,9 +18,6 @@ from bunraku.errors import BunrakuError, FormatError, OptionError
 from bunraku.studio.store import NotThere, Store
 from bunraku.studio.worker import page_sentence, work
 
-__all__ = ["About", "Changes", "Job", "Jobs", "QueueFull", "public"]
-
-
 MOST = 10_000
 """Things of which the latest change is kept."""
 

@@ -19,9 +19,6 @@ from bunraku.studio.forms import check_asked
 from bunraku.studio.records import CHARACTER_FACTS, TAKE_FACTS, check_facts, read_view
 from bunraku.studio.store import Store
 
-__all__ = ["copy_entry", "open_archive", "pack_project", "read_entry", "unpack_project"]
-
-
 _DAMAGED = "the file is damaged or has a password; pack or save it again"
 _END = struct.Struct("<4s4H2LH")
 _LARGEST_ENTRY = 600

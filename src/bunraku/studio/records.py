@@ -14,12 +14,6 @@ from bunraku.errors import OptionError
 from bunraku.studio.forms import MOST_PARTS, MOST_SEED, TIME, Motion, PoseForm, read_pins
 from bunraku.studio.workspace import MAX_VERTICES, Settings
 
-__all__ = [
-    "CHARACTER_FACTS", "LARGEST", "RECORD", "Record", "TAKE_FACTS", "View", "check_facts", "checked_view",
-    "read_record", "read_view", "written",
-]  # fmt: skip
-
-
 Record = dict[str, Any]
 RECORD = "record.json"
 LARGEST = 4 << 20

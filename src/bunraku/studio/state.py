@@ -14,8 +14,6 @@ from bunraku.studio.jobs import OPEN_STATES, About, Job, Jobs
 from bunraku.studio.projects import unpack_project
 from bunraku.studio.store import NotThere, Store
 
-__all__ = ["SAMPLE", "State"]
-
 SAMPLE = Path(__file__).parent / "sample.bunraku"
 """A character in motion, for the first start of the studio; `tools/make_studio_sample.py` writes it."""
 KEPT_EXPORTS = 3

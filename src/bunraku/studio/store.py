@@ -24,8 +24,6 @@ from bunraku.core.request import storable
 from bunraku.errors import BunrakuError, FormatError, OptionError
 from bunraku.studio.records import LARGEST, RECORD, Record, read_record, written
 
-__all__ = ["KINDS", "NotThere", "Store", "default_folder"]
-
 _log = logging.getLogger(__name__)
 KINDS = ("characters", "takes", "projects", "jobs", "exports")
 ASIDE = "set-aside"

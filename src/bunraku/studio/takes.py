@@ -33,10 +33,6 @@ from bunraku.studio.forms import DressForm, stages_without
 from bunraku.studio.wire import Take, body_of, packed_clip
 from bunraku.studio.workspace import PREVIEWS, Workspace
 
-__all__ = [
-    "Animate", "Bend", "Change", "DRAFT_STAGES", "Dress", "Edit", "Known", "Mirror", "Partly", "Play", "Preview",
-    "Task", "Transfer", "Trim", "finish_takes", "handle_animation_of",
-]  # fmt: skip
 Partly = Callable[[dict[str, Any]], None]
 
 

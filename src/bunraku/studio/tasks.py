@@ -31,9 +31,6 @@ from bunraku.studio.takes import (
 from bunraku.studio.wire import Dressed, packed_clip, save_handles
 from bunraku.studio.workspace import PREVIEWS, Settings, Workspace, apparel_facts, character_facts, opened_character
 
-__all__ = ["CHAINED", "Export", "ExportClips", "FindApparel", "LayChains", "Live", "Open", "TASKS", "run_task"]
-
-
 CHAINED = "chains.glb"
 """The mesh of a character with chains of bones for its apparel, and their springs in the extras."""
 

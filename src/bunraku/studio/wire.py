@@ -34,10 +34,6 @@ from bunraku.files import (
     shapes_of_meshes,
 )
 
-__all__ = [
-    "APPAREL", "Dressed", "Take", "body_of", "load_handles", "load_take", "packed_clip", "save_handles", "save_take",
-]  # fmt: skip
-
 APPAREL = "apparel.npz"
 """The file beside a take's motion that says where apparel is that moves on its own."""
 

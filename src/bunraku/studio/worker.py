@@ -15,9 +15,6 @@ from typing import Any
 
 from bunraku.errors import FULL_DISK, BunrakuError, sentence_of
 
-__all__ = ["Cancelled", "is_full", "page_sentence", "work"]
-
-
 _SHUT = {errno.EROFS, errno.EACCES}
 _FULL_WORDS = tuple(os.strerror(number).lower() for number in (*FULL_DISK, *_SHUT))
 _FOLDER = re.compile(r"(?<![\w.])/(?:[^\s:/]+/)+(?=[^\s:/]+)")

@@ -24,9 +24,6 @@ from bunraku.pipelines.live import Live
 from bunraku.studio.dressing import painted_file
 from bunraku.studio.wire import Dressed, Take, body_of, load_handles, load_take, packed_clip, save_take
 
-__all__ = ["MAX_VERTICES", "PREVIEWS", "Settings", "Workspace", "apparel_facts", "character_facts", "opened_character"]
-
-
 _log = logging.getLogger(__name__)
 MAX_VERTICES = 1_000_000
 """Vertices that a browser draws on an ordinary machine; chosen by eye."""

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Phrase", "runs"]
-
 
 def runs(mask: np.ndarray, least: float = 1, bridge: float = 0) -> list[tuple[int, int]]:
     """Runs (start, stop) in which the mask holds for `least` frames or more, gaps of up to `bridge` frames included."""

@@ -28,8 +28,6 @@ from bunraku_lab.nn.part_points import (
     point_features,
 )
 
-__all__ = ["CARRIERS", "PARTS", "FoundParts", "PartConfig", "PartNetwork", "find_parts", "load_parts"]
-
 PARTS = ("body", "hair", "skirt", "cape", "sleeve", "tail", "prop", "accessory", "ground")
 """Kinds of parts. A skirt is also a robe or the tails of a coat, a tail also an ear; ground is what a figure stands on
 and what lies about it.

@@ -13,18 +13,6 @@ from scipy.spatial import cKDTree
 
 from bunraku.core.geometry.graph import clean_mesh, mesh_parts, unique_edges
 
-__all__ = [
-    "CENTRES",
-    "FEATURES",
-    "POINTS",
-    "TOKENS",
-    "PartPoints",
-    "Surface",
-    "loose_parts",
-    "part_points",
-    "point_features",
-]
-
 POINTS, CENTRES, TOKENS = 4096, 1024, 256
 GATHERED, BESIDE = 12, 8
 """Points that a centre gathers from the level below, and centres beside it that it looks at."""

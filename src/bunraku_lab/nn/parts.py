@@ -19,8 +19,6 @@ from bunraku_lab.nn.checkpoints import SavedNetwork
 from bunraku_lab.nn.part_inference import CARRIERS, PARTS, SCALES, WAVES, PartConfig
 from bunraku_lab.nn.part_points import BESIDE, CENTRES, FEATURES, GATHERED, POINTS, TOKENS
 
-__all__ = ["PartNetwork", "PointBatch", "point_batch"]
-
 
 class PointBatch:
     """Features and neighbours of B meshes as one block.

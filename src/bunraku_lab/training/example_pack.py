@@ -50,8 +50,6 @@ from bunraku_lab.description.wording import computed_sentence, inside
 from bunraku_lab.training.rows.clip_rows import ClipSet, Mixture, standing_stretches
 from bunraku_lab.training.rows.clips import ClipEntry, load_clips
 
-__all__ = ["BUSY_BOUNDS", "ExampleSettings", "IDLE_BOUNDS", "IdleBounds", "build_examples", "idling"]
-
 
 @dataclass(frozen=True)
 class IdleBounds:

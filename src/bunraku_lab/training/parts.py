@@ -17,8 +17,6 @@ from bunraku_lab.nn.parts import PartNetwork, point_batch
 from bunraku_lab.training.parts_data import SOURCES, PartData
 from bunraku_lab.training.runs.run import AveragedRun, StepSettings, logged_columns
 
-__all__ = ["PartTrainConfig", "PartTrainer", "seen_row"]
-
 _MIRRORED = [
     CARRIERS.index(name.replace("left", "#").replace("right", "left").replace("#", "right")) for name in CARRIERS
 ]

@@ -20,8 +20,6 @@ from bunraku_lab.datasets.labelled.worn import with_accessories
 from bunraku_lab.nn.part_inference import CARRIERS, PARTS
 from bunraku_lab.nn.part_points import PartPoints, loose_parts, part_points
 
-__all__ = ["SOURCES", "PartData", "archive_names", "build_shard"]
-
 SOURCES = {
     "wardrobe": 0.12,
     "closet": 0.1,

@@ -33,8 +33,6 @@ from bunraku_lab.training.reader_sentences import (
 )
 from bunraku_lab.training.runs.run import AveragedRun, StepSettings, TrainingNote
 
-__all__ = ["Batch", "ReaderNetwork", "ReaderTrainConfig", "ReaderTrainer", "batches", "packed", "train_reader"]
-
 POOL = 4096
 """Sentences that are composed at a time, and sorted into batches of one length each."""
 DROPPED = 0.1

@@ -22,8 +22,6 @@ from bunraku.language.prompts import plain_words
 from bunraku.language.reader import FIELDS
 from bunraku_lab.datasets.motions.build import split_of
 
-__all__ = ["HELD_OUT", "NOTHING", "UNKNOWN", "Composed", "Composer", "drawn", "grammar", "phrases_of", "weak_sentences"]
-
 NOTHING = "none"
 UNKNOWN = -1
 """Of a field about which a sentence may say something that is not known here."""

@@ -189,7 +189,7 @@ def test_gelu_and_its_slope():
 
 def test_a_kill_while_saving_never_leaves_a_broken_state(tmp_path):
     code = (
-        "import sys, torch; from bunraku_lab.nn.checkpoints import *\n"
+        "import sys, torch; from bunraku_lab.nn.checkpoints import TrainingState, save_training_state\n"
         "step = 0\n"
         "while True:\n"
         "    step += 1\n"

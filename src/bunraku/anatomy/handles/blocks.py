@@ -20,18 +20,6 @@ from bunraku.core.geometry.graph import clean_mesh
 from bunraku.core.geometry.surface import surface_points
 from bunraku.files import Source
 
-__all__ = [
-    "BlockParts",
-    "BlockShapes",
-    "Blocks",
-    "away_from",
-    "block_parts",
-    "find_blocks",
-    "joint_parents",
-    "rigid_handles",
-]
-
-
 # Chosen by eye on the figures of benchmarks/rigid_blocks.md; CUT was measured on figures cut from one surface, which
 # have .27 to .87.
 LEAST, MOST = 3, 100  # blocks of a figure

@@ -18,12 +18,6 @@ from bunraku.core.character import Handles
 from bunraku.core.geometry.graph import mesh_parts
 from bunraku.core.geometry.simplify import NetworkMesh
 
-__all__ = [
-    "FAMILIES", "LIMB_HANDLES", "Limb", "SIDES", "edge_lengths", "find_appendages", "find_limbs", "has_extra_legs",
-    "limb_handles", "split_limbs", "stands", "with_appendages",
-]  # fmt: skip
-
-
 FAMILIES: tuple[tuple[str, ...], ...] = (("hip", "knee", "ankle", "foot"), ("shoulder", "elbow", "wrist", "fingers"))
 """Parts of a limb, from the body outwards; a limb is found by all but the first."""
 

@@ -16,26 +16,6 @@ from bunraku.core.geometry.axes import right_angle_rotations
 from bunraku.core.nn.checkpoints import config_of, load_network
 from bunraku.core.nn.layers import Linear, PreNorm, Weights, gelu, normed, softmax
 
-__all__ = [
-    "HandlePrediction",
-    "HandlePredictor",
-    "MeshGraph",
-    "OrderedGraph",
-    "OrientationConfig",
-    "OrientationPredictor",
-    "PredictorConfig",
-    "TOKEN",
-    "farthest_points",
-    "load_orientation_predictor",
-    "load_predictor",
-    "mesh_graph",
-    "ordered_graph",
-    "predictor_config",
-    "shape_tokens",
-    "turned_tokens",
-]
-
-
 _NEAR = 3  # anchors that each vertex listens to
 
 

@@ -19,8 +19,6 @@ from bunraku.files import rotated
 if TYPE_CHECKING:
     from bunraku.anatomy.handles.networks import OrientationPredictor
 
-__all__ = ["SURE", "Orientation", "ResolvedAxes", "guess_orientation", "resolve_axes", "resolved_axes", "upright"]
-
 # Measured with these values on four lots of files: docs/measurements.md has the shares.
 SURE = 0.85
 """From this probability on nothing is said of a guess."""

@@ -11,21 +11,6 @@ from scipy.spatial import cKDTree
 from bunraku.core.geometry.axes import AXES, BARE, ORIENTATIONS, axis_vector
 from bunraku.core.geometry.surface import face_normals
 
-__all__ = [
-    "EVIDENCE",
-    "ColorEvidence",
-    "Combination",
-    "Evidence",
-    "GroundEvidence",
-    "LeanEvidence",
-    "MirrorEvidence",
-    "RestEvidence",
-    "ShapeView",
-    "gathered",
-    "has_rule",
-    "kind_weights",
-]
-
 _UPS = np.array([AXES.index(up) for up, _ in ORIENTATIONS])
 _SAME_UP = _UPS[:, None] == _UPS
 _FRONTS = np.array([AXES.index(front) for _, front in ORIENTATIONS])

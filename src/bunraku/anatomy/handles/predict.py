@@ -21,8 +21,6 @@ from bunraku.core.geometry.simplify import NetworkMesh, network_mesh, network_vi
 if TYPE_CHECKING:
     from bunraku.anatomy.handles.networks import HandlePredictor
 
-__all__ = ["VIEWS", "Predictor", "mesh_feature", "predict_handles", "predict_weights", "smooth_weights", "trim_weights"]
-
 VIEWS = (
     (0.0, 0.0, 0.0),
     (0.5, 0.5, 0.5),

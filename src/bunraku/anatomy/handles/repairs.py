@@ -16,20 +16,6 @@ from bunraku.core.geometry.graph import mean_operator, mesh_parts
 from bunraku.core.geometry.simplify import NetworkMesh
 from bunraku.core.motion import line_up
 
-__all__ = [
-    "DropDoubtfulLimbs",
-    "EarsToHead",
-    "HairOffArms",
-    "HairToHead",
-    "JoinRegions",
-    "LooseParts",
-    "REPAIRS",
-    "Repair",
-    "SeatParts",
-    "SoftenTornEdges",
-    "repaired",
-]
-
 _LIMBS = [
     i for i, name in enumerate(HANDLE_NAMES) if name.startswith(("left_", "right_")) or name in ("tail", "tail_tip")
 ]

@@ -16,9 +16,6 @@ from bunraku.core.geometry.axes import AXES, axis_vector
 from bunraku.core.motion import line_up
 from bunraku.errors import CharacterError
 
-__all__ = ["NO_HANDLE", "handle_of_joints", "limb_parents", "resolve_joints", "rig_axes", "rig_handles"]
-
-
 NO_HANDLE = -1
 _H = dict(zip(HANDLE_NAMES, range(len(HANDLE_NAMES)), strict=True))
 _LIMB_KINDS = ("shoulder", "elbow", "leg")

@@ -9,17 +9,6 @@ from functools import lru_cache
 
 import numpy as np
 
-__all__ = [
-    "APPAREL_KINDS",
-    "apparel_of_name",
-    "block_of_name",
-    "left_axis",
-    "part_of_name",
-    "plain_name",
-    "without_prefix",
-]
-
-
 # Kinds that name a handle outright; "left" stands for the side that the joint has.
 _KINDS: tuple[tuple[str, str], ...] = (
     ("none", r"(pole)?target|^pt$|^control|camera|^light|nub$|heelroll|toeroll|twistend"),

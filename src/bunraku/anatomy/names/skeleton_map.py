@@ -17,9 +17,6 @@ from bunraku.core.body.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
 from bunraku.core.motion import Skeleton, line_up
 from bunraku.errors import MotionError
 
-__all__ = ["SkeletonMap", "joints_by_structure", "map_skeleton", "mmd_centre", "mmd_skeleton_map"]
-
-
 _J = {name: index for index, name in enumerate(JOINT_NAMES)}
 
 

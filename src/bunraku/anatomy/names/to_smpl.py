@@ -23,8 +23,6 @@ from bunraku.core.geometry.rotations import (
 )
 from bunraku.core.motion import SkeletalMotion, Skeleton, local_rotations
 
-__all__ = ["rest_is_a_pose", "to_smpl", "rotations_of_rest"]
-
 _J = {name: index for index, name in enumerate(JOINT_NAMES)}
 _CHILD = LIMB_CHILD | {3: 6, 6: 9, 9: 12, 12: 15, 7: 10, 8: 11, 13: 16, 14: 17}  # where a part points
 _UPRIGHT = np.cos(np.radians(35))  # a rest pose this near to upright is upright

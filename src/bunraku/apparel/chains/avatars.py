@@ -14,8 +14,6 @@ from bunraku.core.animation import RigAnimation
 from bunraku.core.avatars import MmdModel, MmdSdef, VrmCollider, VrmModel, VrmSpring, VrmSpringJoint
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
 
-__all__ = ["VrmValues", "between_frames", "fitted_springs", "link_turns", "mmd_avatar", "vrm_avatar", "vrm_steps"]
-
 RATE = 60  # steps a second
 
 VrmValues = tuple[np.ndarray, np.ndarray, np.ndarray]

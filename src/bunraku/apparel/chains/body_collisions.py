@@ -22,8 +22,6 @@ from bunraku.core.geometry.curves import smooth_step
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.core.skinning import skin
 
-__all__ = ["CHAIN_REPAIRS", "PushOutOfBody", "SkirtsOverLegs"]
-
 _LEGS = [[JOINT_NAMES.index(f"{side}_{part}") for part in ("hip", "knee", "ankle")] for side in ("left", "right")]
 _LIMB = np.array([
     0 if not name.startswith(("left_", "right_")) or name.endswith("collar")

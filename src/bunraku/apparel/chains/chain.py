@@ -19,11 +19,6 @@ from bunraku.core.character import Character
 from bunraku.core.files import atomic_write, read_bounded
 from bunraku.errors import FormatError
 
-__all__ = [
-    "Chain", "ChainParameters", "KINDS", "SUFFIX", "parameters_beside", "parameters_from_file", "parameters_of",
-    "parameters_of_laid", "with_parameters", "write_parameters",
-]  # fmt: skip
-
 KINDS = (*APPAREL_KINDS, "strand")  # kinds of chains; nothing is known of a strand
 
 

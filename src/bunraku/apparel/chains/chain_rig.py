@@ -16,8 +16,6 @@ from bunraku.core.avatars import MMD_METRE, MmdBody, MmdJoint
 from bunraku.core.body.layout import JOINT_COUNT, handle_names
 from bunraku.core.character import Character, Handles, Rig, top_influences
 
-__all__ = ["Chained", "LaidChains", "chain_rig", "handle_rig", "neighbours_of", "on_handle_rig", "with_chains"]
-
 
 def handle_rig(character: Character, handles: Handles) -> Character:
     """The character with a bone for each handle: the first is the root, and all others hang on it."""

@@ -18,8 +18,6 @@ from bunraku.core.geometry.curves import smooth_step
 from bunraku.core.geometry.graph import clean_mesh, unique_edges
 from bunraku.core.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 
-__all__ = ["ChainRepair", "DressedChains", "MendTears", "SmoothNeighbours", "on_skin"]
-
 Frames = Callable[[np.ndarray], np.ndarray]
 """Vertices [m] of the frames with the given indices, shape (F,) -> (F, V, 3)."""
 

@@ -22,8 +22,6 @@ from bunraku.core.character import Character, Rig
 from bunraku.core.geometry.graph import clean_mesh
 from bunraku.retarget.rig_parts import RigParts, understood_rig
 
-__all__ = ["apparel_bones", "bone_chains"]
-
 _SPARE = tuple(HANDLE_NAMES.index(name) for name in ("head_top", "tail", "tail_tip", "left_wing", "right_wing", "face"))
 """Handles of what many characters have beside a body; on a person they are apparel where names say so."""
 _ENDS = sided("wrist", "fingers", "ankle", "foot")  # parts whose own bones hang on them like strands: fingers and toes

@@ -16,8 +16,6 @@ from bunraku.apparel.clothed import FREE, LOADS, NARROW, SOFTEST, STIFFEST, Clot
 from bunraku.core.body.layout import JOINT_COUNT
 from bunraku.core.geometry.curves import smooth_step
 
-__all__ = ["part_kinds", "shape_chains", "with_parts_from_file"]
-
 # Lengths over the size [m]. All were chosen by eye.
 LINK = 0.115  # length of a link
 WIDE = {"skirt": 0.17, "cape": 0.17, "sleeve": 0.2}  # width of a column

@@ -18,8 +18,6 @@ from bunraku.core.character import Character
 from bunraku.core.request import Progress
 from bunraku.errors import CharacterError
 
-__all__ = ["check_apparel", "dialled", "moving_rig", "steady_simulation", "with_apparel"]
-
 TRIES = 3  # how often bodies that fly off are simulated again
 STIFFER = 4.0  # factor on their stiffness, each time; steps are half as long
 _log = logging.getLogger(__name__)

@@ -18,8 +18,6 @@ from bunraku.core.body.layout import JOINT_NAMES, JOINT_PARENTS, sided
 from bunraku.core.geometry.axes import covered, direction_bins
 from bunraku.core.geometry.graph import clean_mesh, mesh_parts, unique_edges
 
-__all__ = ["Piece", "pieces_of"]
-
 # Lengths over the size [m]. All were chosen by eye.
 ROUND = 0.65  # share of the directions about the body that a skirt covers
 BROAD = 0.3  # the same of a cape

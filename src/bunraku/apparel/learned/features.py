@@ -14,12 +14,6 @@ from bunraku.apparel.nodes import ApparelNodes, node_swing
 from bunraku.core.body.layout import JOINT_COUNT, JOINT_PARENTS
 from bunraku.core.geometry.rotations import matrix_from_quaternion, matrix_y, quaternion_from_matrix, quaternion_slerp
 
-__all__ = [
-    "BASIS", "FREQUENCIES", "Frame", "GLOBAL", "LAGS", "LEAD_IN", "MotionFeatures", "MotionFilters", "OWN",
-    "OwnPendulum", "PENDULUMS", "Pendulums", "RATE", "STATIC_SCALARS", "STATIC_VECTORS", "VECTORS",
-    "lead_in_transforms", "rest_transforms", "static_features",
-]  # fmt: skip
-
 # What follows is part of what the displacement networks were trained on; other values need other weights.
 FREQUENCIES = (0.4, 0.7, 1.2, 2.0, 3.4)
 """Of the oscillators [1/s]: apparel of the wardrobe swings at 0.6 on average, stiff pieces at 4."""

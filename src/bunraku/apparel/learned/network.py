@@ -14,12 +14,6 @@ from bunraku.apparel.nodes import EdgeBlock, NodeGraph
 from bunraku.core.nn.checkpoints import config_of, load_network
 from bunraku.core.nn.layers import Weights, gelu
 
-__all__ = [
-    "CHANGE", "DisplacementConfig", "DisplacementNetwork", "DisplacementPart", "FoldedNetwork", "FoldedPast", "KEEP",
-    "MOTION", "MOTION_HIDDEN", "NODE_INPUT", "OWN_STATE", "SET", "SHARE", "STILL", "WORLD_STATE", "load_displacement",
-    "past_of_states",
-]  # fmt: skip
-
 STILL = 3 * STATIC_VECTORS + STATIC_SCALARS  # features of a node that never change
 NODE_INPUT = STILL + 3 * VECTORS + SCALARS  # features of a node in a frame
 MOTION_HIDDEN, MOTION = 64, 24  # channels of the MLP of the encoded motion f_t(T), and of its output

@@ -23,11 +23,6 @@ from bunraku.apparel.learned.features import (
 from bunraku.apparel.learned.network import DisplacementNetwork, FoldedNetwork, FoldedPast, past_of_states
 from bunraku.apparel.nodes import ApparelNodes, NodeGraph, apparel_nodes
 
-__all__ = [
-    "ApparelPlayer", "Carrier", "NODES", "Safety", "SafetySettings", "known_share", "network_inputs", "node_turns",
-    "polar_rotation",
-]  # fmt: skip
-
 NEAR = 4
 RIGID = 0.03
 """Weight of the carrying joint's own rotation in that of a node, over the spread of its neighbours; chosen by eye."""

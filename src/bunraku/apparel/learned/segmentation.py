@@ -10,17 +10,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from bunraku.apparel.clothed import SOFTEST, STIFFEST
-from bunraku.apparel.nodes import NEIGHBOURS, EdgeBlock, NodeGraph, part_neighbours
+from bunraku.apparel.nodes import EdgeBlock, NodeGraph, part_neighbours
 from bunraku.core.body.layout import JOINT_COUNT, JOINT_PARENTS
 from bunraku.core.geometry.graph import clean_mesh, mesh_parts, unique_edges
 from bunraku.core.geometry.surface import vertex_normals
 from bunraku.core.nn.checkpoints import config_of, dated_checkpoint, load_network
 from bunraku.core.nn.layers import Weights, gelu, one_thread
-
-__all__ = [
-    "FoundApparel", "NEIGHBOURS", "POINTS", "POINT_FEATURES", "SampledMesh", "SegmentationConfig",
-    "SegmentationNetwork", "find_apparel", "load_segmentation", "point_features", "sampled_mesh",
-]  # fmt: skip
 
 POINTS = 1024
 POINT_FEATURES = 3 + 3 + 3 + 1 + JOINT_COUNT - 1 + 4

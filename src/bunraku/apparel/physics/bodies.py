@@ -16,11 +16,6 @@ from bunraku.apparel.physics.rig import still_body
 from bunraku.core.avatars import MMD_METRE, MmdBody, MmdJoint
 from bunraku.core.character import Character
 
-__all__ = [
-    "Forest", "Freedom", "Link", "Loop", "add_rods", "add_shape", "apparel_forest", "body_limbs", "free_axes",
-    "freedoms", "inertia", "locked_axes", "loss_rate",
-]  # fmt: skip
-
 LEAST = 24  # vertices that a limb is made of at least
 # a bone whose vertices are all nearer to their middle than this share of the height gets none: fingers, eyes, teeth;
 # chosen by eye on simulations of Uka, Gene and the wardrobe

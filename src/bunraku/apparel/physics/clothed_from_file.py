@@ -17,11 +17,6 @@ from bunraku.core.avatars import MMD_METRE, MmdBody
 from bunraku.core.character import Character
 from bunraku.errors import CharacterError
 
-__all__ = [
-    "NEWTON_METRE", "PartSprings", "bending_limits", "body_springs", "clothed_from_file", "part_springs",
-    "vertex_swing",
-]  # fmt: skip
-
 NEWTON_METRE = MMD_METRE**2
 """A spring of 1 in a file [N m / rad]: MMD's forces are in kg unit / s^2."""
 

@@ -11,8 +11,6 @@ from bunraku.core.avatars import MMD_METRE, MmdBody, MmdJoint, VrmCollider, VrmM
 from bunraku.core.character import Character
 from bunraku.errors import MissingExtraError, OptionError
 
-__all__ = ["ApparelRig", "PhysicsSettings", "VRM_RATE", "apparel_rig", "check_engine", "still_body", "vrm_rig"]
-
 
 @dataclass(frozen=True, eq=False)
 class ApparelRig:

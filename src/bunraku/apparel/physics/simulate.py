@@ -16,10 +16,6 @@ from bunraku.core.animation import RigAnimation, bone_order
 from bunraku.core.geometry.rotations import matrix_from_quaternion, matrix_y, quaternion_from_matrix, quaternion_slerp
 from bunraku.errors import CharacterError, MotionError, OptionError
 
-__all__ = [
-    "Drive", "Recovery", "Simulation", "SimulationReport", "joints_moved", "lead_in", "posed", "simulate", "stretched",
-]  # fmt: skip
-
 # Chosen by eye on simulations of Uka, Gene and the wardrobe.
 BLEND = 0.6  # share of the warm-up in which the pose changes; in the rest of it apparel settles
 

@@ -27,8 +27,6 @@ from bunraku.apparel.physics.rig import ApparelRig, PhysicsSettings
 from bunraku.core.avatars import MmdBody
 from bunraku.errors import CharacterError
 
-__all__ = ["MOST_CLASSES", "MOST_DYNAMIC", "World", "build_world", "collision_bits", "fit_contacts"]
-
 MOST_CLASSES = 31
 
 Kind = tuple[int, int, bool]

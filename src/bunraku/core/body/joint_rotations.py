@@ -20,8 +20,6 @@ from bunraku.core.geometry.surface import vertex_areas
 from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton, local_rotations
 from bunraku.errors import MotionError
 
-__all__ = ["motion_from_positions", "skeleton_from_handles"]
-
 ROUNDS = 12
 CHUNK = 1000  # frames at once
 _PARENTS = np.array(JOINT_PARENTS)

@@ -9,13 +9,6 @@ import numpy as np
 from bunraku.core.character import Handles
 from bunraku.errors import OptionError
 
-__all__ = [
-    "BESIDE",
-    "CHEST", "HANDLE_COUNT", "HANDLE_INDEX", "HEAD", "WRISTS", "HANDLE_MIRROR", "HANDLE_NAMES",
-    "HANDLE_PARENTS", "JOINT_COUNT", "JOINT_MIRROR", "JOINT_NAMES", "JOINT_PARENTS", "PARTS", "REQUIRED", "ROOTS",
-    "SKELETONS", "engine_names", "handle_names", "kept_handles", "sided",
-]  # fmt: skip
-
 JOINT_NAMES: tuple[str, ...] = (
     "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle",
     "spine3",

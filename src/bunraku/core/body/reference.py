@@ -15,11 +15,6 @@ from bunraku.core.motion import SkeletalMotion, Skeleton
 from bunraku.core.skinning import skin
 from bunraku.errors import MotionError
 
-__all__ = [
-    "LIMB_CHILD", "LOOSE", "LOOSE_ON_PEOPLE", "ReferenceBody", "capped", "reference_body", "reference_shapes",
-    "smpl_offsets", "smpl_rotations",
-]  # fmt: skip
-
 
 @dataclass(frozen=True)
 class ReferenceBody:

@@ -9,12 +9,6 @@ import numpy as np
 
 from bunraku.errors import OptionError
 
-__all__ = [
-    "AXES", "BARE", "FileFrame", "ORIENTATIONS", "ROUND", "UNITS", "axis_name", "axis_vector", "covered",
-    "default_orientation", "direction_bins", "directions_about", "goes_round", "likely_unit", "right_angle_rotations",
-    "upright_rotation",
-]  # fmt: skip
-
 BINS, ROUND = 12, 0.75
 """Bins of the directions about a line, and the share of them that something around it covers."""
 

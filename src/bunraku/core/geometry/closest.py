@@ -12,8 +12,6 @@ from scipy.spatial import cKDTree
 
 from bunraku.core.geometry.surface import split_long_edges
 
-__all__ = ["Stars", "blend_matrix", "least_distance", "stars_of", "surface_distances"]
-
 _CHUNK = 60_000  # point-triangle pairs at a time: small enough for the cache
 _MOST_TRIANGLES = 64  # around one vertex
 _NEAREST = 4  # triangles that are looked at for a point anywhere

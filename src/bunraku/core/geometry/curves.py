@@ -6,11 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-__all__ = [
-    "STANDS", "STRIDE", "MonotoneCurve", "correlated", "gaussian", "running_least", "running_mean", "running_most",
-    "smooth_step", "solve_banded", "tallest_steady",
-]  # fmt: skip
-
 EDGES = ("nearest", "mirror", "wrap")
 CUT = 4.0
 """Deviations from its middle at which a Gaussian ends."""

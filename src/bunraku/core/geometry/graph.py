@@ -16,11 +16,6 @@ from scipy.spatial import cKDTree
 
 from bunraku.errors import CharacterError
 
-__all__ = [
-    "CleanMesh", "along", "bridge_edges", "canonical_order", "canonical_rank", "clean_mesh", "distinct_faces",
-    "mean_operator", "mesh_parts", "pack", "unique_edges", "unpack_pairs",
-]  # fmt: skip
-
 # points nearer than this share of the largest extent (some roundings of float32) are always welded, points four times
 # as far apart never directly
 _WELD = 2.5e-6

@@ -8,12 +8,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = [
-    "Resampling", "adjugates", "axis_angle_from_matrix", "continuous", "heading", "inverses", "matrix_from_6d",
-    "matrix_from_axis_angle", "matrix_from_quaternion", "matrix_to_6d", "matrix_y", "nearest_rotation",
-    "quaternion_from_matrix", "quaternion_slerp", "rotation_between",
-]  # fmt: skip
-
 Array = Any  # numpy.ndarray, or a tensor
 
 

@@ -26,10 +26,6 @@ from bunraku.core.geometry.graph import (
 from bunraku.core.geometry.surface import split_estimate, split_long_edges, vertex_areas, vertex_normals
 from bunraku.errors import CharacterError
 
-__all__ = [
-    "FineMesh", "NetworkMesh", "Patches", "find_patches", "network_mesh", "network_views", "refine", "soft_means",
-]  # fmt: skip
-
 _MOST_SPLITS = 150_000
 _MANY = 60_000  # vertices, more than any view needs
 _FINE = 5  # cells of the grid in which so many are merged, over one of a view's

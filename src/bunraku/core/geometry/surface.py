@@ -6,11 +6,6 @@ from functools import lru_cache
 
 import numpy as np
 
-__all__ = [
-    "extreme_points", "face_normals", "part_extremes", "split_estimate", "split_long_edges", "surface_points",
-    "vertex_areas", "vertex_normals", "winding_numbers",
-]  # fmt: skip
-
 
 def face_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Normals of faces with the length of twice their area [m^2], shape (F, 3), float64."""

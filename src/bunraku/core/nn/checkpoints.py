@@ -20,12 +20,6 @@ from bunraku.core.nn.layers import Weights
 from bunraku.core.request import from_json
 from bunraku.errors import FormatError, OptionError, WeightsError
 
-__all__ = [
-    "FORMAT", "config_of", "dated", "dated_checkpoint", "fitting_config", "halves_of", "load_checkpoint",
-    "load_network", "planes_of", "read_config", "read_tensors", "save_checkpoint", "shipped_checkpoint",
-    "stored_as_half", "write_tensors",
-]  # fmt: skip
-
 FORMAT = "bunraku-1"
 _LARGE = 1024
 _PLANES = "planes"

@@ -16,13 +16,6 @@ if TYPE_CHECKING:
 
     from threadpoolctl import ThreadpoolController
 
-__all__ = [
-    "Attention", "FeedForward", "Linear", "Memory", "Norm", "PostNorm", "PreNorm", "Rotary", "Weights", "attended",
-    "each_in_one_thread",
-    "gelu", "gelu_slope", "hidden_by", "normed", "one_thread", "parallel", "sigmoid", "silu", "softmax", "split_heads",
-    "apply_rotary", "unit", "usable_threads",
-]  # fmt: skip
-
 _NEVER = np.float32(-1e30)
 """Added to a score of attention, it hides a position."""
 _PIECE = 1 << 15

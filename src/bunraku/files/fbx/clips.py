@@ -24,11 +24,6 @@ from bunraku.files.fbx.scene import (
 )
 from bunraku.files.gltf.carry import clip_number
 
-__all__ = [
-    "Curve", "FbxClip", "find_clip", "load_fbx_motion", "read_clips", "read_curve", "read_motion",
-    "sample_clip",
-]  # fmt: skip
-
 CONSTANT, CUBIC, NEXT, WEIGHTED_RIGHT, WEIGHTED_LEFT = 0x2, 0x8, 0x100, 0x0100_0000, 0x0200_0000
 AUTO, TCB, USER, FLAT_AT_EQUAL, OVER_TIME, PROGRESSIVE = (
     0x100,

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from bunraku.core.animation import PointAnimation
     from bunraku.core.character import Character, Handles
 
-__all__ = ["write_character", "write_clips", "write_fbx", "write_points"]
-
 
 def write_fbx(
     animation: Animation | RigAnimation,

@@ -17,11 +17,6 @@ from bunraku.files.gltf.document import matte_material
 from bunraku.files.gltf.mesh import strongest
 from bunraku.files.meshes.obj import beside, embeddable, fans, split_corners
 
-__all__ = [
-    "BONES", "Cluster", "FbxMesh", "FbxSkin", "Materials", "bind_matrices", "inverses", "read_clusters", "read_mesh",
-    "read_skin",
-]  # fmt: skip
-
 INFLUENCES = 8
 """Most joints that are kept for a vertex."""
 

@@ -15,8 +15,6 @@ import numpy as np
 from bunraku.core.files import check_text
 from bunraku.errors import FormatError
 
-__all__ = ["Allowance", "FbxArray", "FbxNode", "FbxTree", "read_text_tree", "read_tree"]
-
 MAX_DEPTH, MAX_NODES, MAX_VALUES = 64, 1_500_000, 6_000_000
 
 

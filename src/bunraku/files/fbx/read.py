@@ -19,8 +19,6 @@ from bunraku.files.gltf.document import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, Docu
 from bunraku.files.gltf.mesh import MAX_VERTICES
 from bunraku.files.gltf.read import character_from_document
 
-__all__ = ["fbx_facts", "read_fbx", "scene_document"]
-
 
 @dataclass(frozen=True, eq=False)
 class _Placed:

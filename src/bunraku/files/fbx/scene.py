@@ -10,11 +10,6 @@ import numpy as np
 
 from bunraku.files.fbx.nodes import BROKEN, FbxNode, FbxTree
 
-__all__ = [
-    "FbxObject", "FbxScene", "Frame", "PROPERTIES", "Values", "default_world", "euler_matrices", "geometric_matrix",
-    "read_scene", "world_matrices",
-]  # fmt: skip
-
 MAX_MODELS = 50_000
 TICKS = 46_186_158_000
 """Units of an FBX time in a second."""

@@ -21,8 +21,6 @@ from bunraku.files.gltf.mesh import MeshPart
 from bunraku.files.gltf.write import document_of
 from bunraku.files.meshes.obj import embeddable
 
-__all__ = ["Layer", "Look", "Mesh", "Shape", "add_mesh", "file_matrices", "meshes_of", "uv_name"]
-
 MOST_UVS = 8
 
 

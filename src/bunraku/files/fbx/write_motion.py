@@ -14,8 +14,6 @@ from bunraku.core.geometry.rotations import matrix_from_quaternion, nearest_rota
 from bunraku.files.fbx.write_objects import SECOND, Objects, Span, element, prop, properties
 from bunraku.files.gltf.write import joint_tracks
 
-__all__ = ["Bones", "ShapeTrack", "Track", "add_bones", "add_clips", "euler_degrees"]
-
 
 @dataclass(frozen=True, eq=False)
 class Track:

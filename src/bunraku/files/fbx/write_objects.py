@@ -13,11 +13,6 @@ import numpy as np
 
 from bunraku.core.geometry.axes import UNITS, FileFrame
 
-__all__ = [
-    "CREATION_TIME", "Element", "FILE_ID", "Objects", "SECOND", "Span", "VERSION", "element", "prop", "properties",
-    "write_elements",
-]  # fmt: skip
-
 VERSION = 7400
 FILE_ID = bytes.fromhex("28b32aebb624ccc2bfc8b02aa92bfcf1")
 CREATION_TIME = "1970-01-01 10:00:00:000"

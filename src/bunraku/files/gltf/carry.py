@@ -15,11 +15,6 @@ from bunraku.files.gltf.document import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, Docu
 from bunraku.files.gltf.mesh import MeshPart, skin_matrices
 from bunraku.files.gltf.read import Source
 
-__all__ = [
-    "IMAGE_SUFFIXES", "MeshCarrier", "carry_clips", "carry_images", "carry_tree", "clip_number", "free_name",
-    "used_extensions",
-]  # fmt: skip
-
 _WHITE_PNG = base64.b64decode(
     "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAIAAACQd1PeAAAADElEQVR4nGP4//8/AAX+Av4N70a4AAAAAElFTkSuQmCC"
 )

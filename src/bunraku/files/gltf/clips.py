@@ -23,8 +23,6 @@ from bunraku.files.gltf.open import open_document
 from bunraku.files.gltf.write import build_document, finish_document, joint_tracks
 from bunraku.files.gltf.write_rig import RigDocument, bone_tracks, placed, with_still
 
-__all__ = ["SAME_BONES", "Tracks", "merge_documents", "whole_document", "write_stretches"]
-
 SAME_BONES = 1e-3
 """Bones that rest this near are the same, as a share of the skeleton's extent: the rounding of float32 stays far below
 it.

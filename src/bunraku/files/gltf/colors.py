@@ -11,8 +11,6 @@ import numpy as np
 from bunraku.files.gltf.document import Document
 from bunraku.files.gltf.mesh import MeshPart
 
-__all__ = ["linear_from_srgb", "srgb_from_linear", "vertex_colors"]
-
 MAX_PIXELS, MAX_IMAGES, PREVIEW_SIZE = 70_000_000, 256, 2048
 MAX_ALL_PIXELS = 600_000_000  # of all images: some seconds of decoding
 MAX_KEPT = 64 << 20  # of all previews [bytes]

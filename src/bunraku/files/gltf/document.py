@@ -14,11 +14,6 @@ import numpy as np
 
 from bunraku.errors import FormatError
 
-__all__ = [
-    "ARRAY_BUFFER", "BASE", "COMPONENT_TYPES", "Document", "ELEMENT_ARRAY_BUFFER", "ELEMENT_SIZES", "GltfBuilder",
-    "MAX_ELEMENTS", "PER_BYTE", "free_memory", "matte_material", "mesh_document", "room", "scaled_mesh_document",
-]  # fmt: skip
-
 PER_BYTE = 4
 """Bytes of memory for each byte of a file."""
 

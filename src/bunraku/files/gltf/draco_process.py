@@ -15,8 +15,6 @@ from io import BytesIO
 
 import numpy as np
 
-__all__ = ["main"]
-
 
 def main() -> None:
     """Unpack the meshes of the standard input."""

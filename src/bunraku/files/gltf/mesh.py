@@ -11,11 +11,6 @@ import numpy as np
 from bunraku.files.gltf.document import Document
 from bunraku.files.gltf.nodes import NodeTree, SkinJoints
 
-__all__ = [
-    "MeshPart", "PrimitiveData", "borrow_weights", "check_size", "primitive_groups", "primitive_triangles", "read_part",
-    "rigid_joints", "skin_matrices", "strongest",
-]  # fmt: skip
-
 
 def strongest(
     points: np.ndarray, joints: np.ndarray, shares: np.ndarray, count: int, influences: int

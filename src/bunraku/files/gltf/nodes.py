@@ -11,11 +11,6 @@ from bunraku.core.geometry.axes import ORIENTATIONS, upright_rotation
 from bunraku.core.geometry.rotations import matrix_from_quaternion, quaternion_slerp
 from bunraku.files.gltf.document import Document
 
-__all__ = [
-    "Curves", "MAX_SECONDS", "NodeTree", "SkinJoints", "bind_pose", "clip_curves", "front_matrix", "node_worlds",
-    "posed_skins", "read_nodes", "read_skins",
-]  # fmt: skip
-
 MAX_NODES = 100_000
 MAX_SLOTS = 300_000  # joints of all skins: many skins may name the same ones, and each takes two matrices
 

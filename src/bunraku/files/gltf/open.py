@@ -23,8 +23,6 @@ from bunraku.core.request import parse_json
 from bunraku.errors import FormatError, MissingExtraError
 from bunraku.files.gltf.document import COMPONENT_TYPES, ELEMENT_SIZES, MAX_ELEMENTS, Document, room
 
-__all__ = ["DRACO", "MESHOPT", "open_document", "unpack_primitives", "unpack_views"]
-
 DRACO = "KHR_draco_mesh_compression"
 SECONDS = 120
 """Longest time that unpacking may take [s]."""

@@ -18,8 +18,6 @@ from bunraku.files.gltf.nodes import NodeTree, SkinJoints, bind_pose, posed_skin
 from bunraku.files.gltf.open import open_document
 from bunraku.files.gltf.vrm import read_vrm
 
-__all__ = ["Source", "character_from_document", "read_gltf", "scaled", "rotated"]
-
 MAX_COORDINATE = 1e12
 """Coordinates beyond this [m] are damage, and overflow what is computed from them."""
 

@@ -15,8 +15,6 @@ from bunraku.core.character import Rig
 from bunraku.files.gltf.document import Document
 from bunraku.files.gltf.nodes import NodeTree, read_nodes
 
-__all__ = ["SPRINGS", "add_humanoid", "add_spring_extras", "add_springs", "read_vrm"]
-
 MOST = 10_000  # joints of springs, and colliders: no avatar has more
 LONGEST = 300  # joints of one spring: what simulates them takes memory by the square of it
 _log = logging.getLogger(__name__)

@@ -30,8 +30,6 @@ from bunraku.files.gltf.vrm import add_springs
 from bunraku.files.gltf.write import finish_document
 from bunraku.files.gltf.write_rig import plain_rig
 
-__all__ = ["VRM_BONES", "load_skeleton_clip", "read_glb_motion", "read_vrma", "write_avatar", "write_vrma"]
-
 EXTENSION = "VRMC_vrm_animation"
 
 VRM_BONES = dict(zip(JOINT_NAMES, engine_names("vrm"), strict=False))

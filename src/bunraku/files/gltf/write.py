@@ -28,12 +28,6 @@ from bunraku.files.motions.arrays import read_npz_motion as read_npz
 if TYPE_CHECKING:
     from bunraku.core.animation import Animation
 
-__all__ = [
-    "add_clip", "add_joints", "add_motion", "build_document", "clip_handles", "document_of", "drop_clip",
-    "finish_document", "joint_attributes", "joint_tracks", "keeps_positions", "packed_motion", "read_motion",
-    "write_animation", "write_clips",
-]  # fmt: skip
-
 KEY = "bunraku_motion"
 RIGID = "bunraku_rigid"
 """Mark of the root joint of a figure whose blocks do not bend."""

@@ -29,11 +29,6 @@ if TYPE_CHECKING:
     from bunraku.core.animation import PointAnimation
     from bunraku.core.character import Character
 
-__all__ = [
-    "FittedPoints", "GroupShapes", "Shapes", "before_skin", "fitted_points", "key_shapes", "mixed_shapes",
-    "shapes_of_meshes", "write_point_animation",
-]  # fmt: skip
-
 
 @dataclass(frozen=True, eq=False)
 class Shapes:

@@ -26,12 +26,6 @@ from bunraku.files.gltf.read import Source
 from bunraku.files.gltf.vrm import add_humanoid, add_spring_extras
 from bunraku.files.gltf.write import build_document, document_of, drop_clip, finish_document, writable
 
-__all__ = [
-    "RigDocument", "add_bone_clip", "bone_tracks", "placed", "plain_rig", "save_rig_animation", "save_rig_clips",
-    "write_character",
-    "with_still",
-]  # fmt: skip
-
 SMALL = 1e-6  # what changes less, over the size of the rig or as a quaternion, stands still; some roundings of float32
 
 

@@ -28,11 +28,6 @@ from bunraku.files.gltf.read import character_from_document
 if TYPE_CHECKING:
     from bunraku.core.animation import Animation, PointAnimation
 
-__all__ = [
-    "BROKEN", "beside", "check_sequence", "embeddable", "fans", "parse_numbers", "read_materials", "read_obj",
-    "split_corners", "write_obj_sequence", "write_ply_sequence",
-]  # fmt: skip
-
 
 def split_corners(corners: np.ndarray, vertices: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Positions of different corners among the vertices of a document.

@@ -17,8 +17,6 @@ from bunraku.files.gltf.document import Document, matte_material, mesh_document
 from bunraku.files.gltf.read import character_from_document
 from bunraku.files.meshes.obj import BROKEN, embeddable, fans, parse_numbers
 
-__all__ = ["read_ply", "read_stl"]
-
 _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
     "uint16": "u2",

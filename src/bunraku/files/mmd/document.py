@@ -18,8 +18,6 @@ from bunraku.files.gltf.colors import linear_from_srgb
 from bunraku.files.gltf.document import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, Document, GltfBuilder, matte_material
 from bunraku.files.meshes.obj import embeddable
 
-__all__ = ["MmdMaterial", "model_document"]
-
 LIGHT = 154 / 255
 """MMD's lamp: this share of the diffuse colour is seen, with the ambient colour added."""
 

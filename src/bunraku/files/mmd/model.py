@@ -32,11 +32,6 @@ from bunraku.files.gltf.read import character_from_document
 from bunraku.files.mmd.document import MmdMaterial, model_document
 from bunraku.files.mmd.vmd import fixed_text
 
-__all__ = [
-    "MAX_BODIES", "MAX_BONES", "MAX_JOINTS", "MmdFile", "MmdMaterial", "MmdReader", "check_physics", "mmd_character",
-    "read_body", "read_joint",
-]  # fmt: skip
-
 _AGAIN = "save the model again"
 
 

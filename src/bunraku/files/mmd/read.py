@@ -22,8 +22,6 @@ from bunraku.files.mmd.model import (
     read_joint,
 )
 
-__all__ = ["read_model", "read_pmd_file", "read_pmx_file"]
-
 _MORPHS = ("group", "vertex", "bone", "uv", "uv", "uv", "uv", "uv", "material", "flip", "impulse")
 _BONES_OF = (1, 2, 4, 2, 4)  # how many bones BDEF1, BDEF2, BDEF4, SDEF and QDEF name
 _NUMBERS_OF = (0, 1, 4, 10, 4)  # and how many numbers follow

@@ -14,8 +14,6 @@ from bunraku.core.files import atomic_write, read_bounded
 from bunraku.core.geometry.rotations import continuous, matrix_from_quaternion, quaternion_from_matrix, quaternion_slerp
 from bunraku.errors import FormatError
 
-__all__ = ["MmdClip", "VMD_FPS", "VmdMotion", "VmdTrack", "load_vmd", "pack_vmd", "read_vmd", "write_vmd"]
-
 VMD_FPS = 30.0
 """MMD's only rate [1/s]."""
 

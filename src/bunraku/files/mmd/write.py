@@ -23,8 +23,6 @@ from bunraku.files.gltf.write import document_of
 from bunraku.files.mmd.document import LIGHT
 from bunraku.files.mmd.model import MAX_BODIES, MAX_BONES, MAX_JOINTS, MmdFile, MmdMaterial
 
-__all__ = ["pmx_bytes", "pmx_file", "save_pmx", "write_character"]
-
 _MIRROR = np.array([1.0, 1, -1])
 
 

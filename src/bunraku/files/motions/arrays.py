@@ -19,12 +19,6 @@ if TYPE_CHECKING:
     from bunraku.core.animation import Animation
     from bunraku.core.character import Handles
 
-__all__ = [
-    "AMASS_ARRAYS", "HUMANML3D_FPS", "REFERENCE", "motion_arrays", "pack_animation", "pack_motion",
-    "positions_of_vectors", "read_amass", "read_any_motion", "read_humanml3d", "read_npz_motion", "read_positions",
-    "read_reference", "write_animation",
-]  # fmt: skip
-
 AMASS_ARRAYS = frozenset({"poses", "trans", "root_orient", "pose_body"})
 """Arrays that mark an .npz as one of AMASS."""
 

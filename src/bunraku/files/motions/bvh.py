@@ -14,8 +14,6 @@ from bunraku.core.files import atomic_write
 from bunraku.core.motion import SkeletalMotion, Skeleton, resample_motion
 from bunraku.errors import FormatError, OptionError
 
-__all__ = ["BVH_UNITS", "BvhJoint", "parse_hierarchy", "read_bvh", "write_bvh"]
-
 MOST_JOINTS = 4096
 MOST_CHANNELS = 9
 _WORDS = re.compile(

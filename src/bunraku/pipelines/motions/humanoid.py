@@ -20,12 +20,6 @@ from bunraku.files import VMD_FPS, write_vmd
 if TYPE_CHECKING:
     from bunraku.anatomy.anatomy import Anatomy
 
-__all__ = [
-    "as_skeletal", "check_character", "humanoid_motion", "write_character_vmd", "write_humanoid_bvh",
-    "write_humanoid_vrma", "write_motion_npz",
-]  # fmt: skip
-
-
 Humanoid = HandleMotion | SkeletalMotion | Animation
 """What has a humanoid skeleton: a motion of the reference body or of a skeleton, or an animation of a character."""
 

@@ -13,9 +13,6 @@ from bunraku.core.motion import HandleMotion, MeshMotion, SkeletalMotion
 from bunraku.errors import FormatError, MotionError
 from bunraku.files import load_animation, load_character, load_skeleton_clip, read_motion
 
-__all__ = ["Motion", "load_mesh_motion", "load_motion"]
-
-
 MAX_VALUES = 400_000_000
 """Coordinates of all frames of a moving mesh: 1.6 GB."""
 

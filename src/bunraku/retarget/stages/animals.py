@@ -28,9 +28,6 @@ from bunraku.core.geometry.rotations import (
 from bunraku.core.motion import HandleMotion
 from bunraku.retarget.stages.stage import Fitting, Stage, sole_points, with_feet_moved
 
-__all__ = ["Front", "Gait", "Support", "Swings", "pairs_of"]
-
-
 _HIPS = [HANDLE_NAMES.index(f"{side}_hip") for side in SIDES]
 
 

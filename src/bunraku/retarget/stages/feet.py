@@ -12,8 +12,6 @@ from bunraku.core.geometry.curves import smooth_step, solve_banded
 from bunraku.core.motion import HandleMotion
 from bunraku.retarget.stages.stage import Contacts, Fitting, Stage, sole_points, with_feet_moved
 
-__all__ = ["Feet", "add_bending", "foot_motion", "is_treadmill"]
-
 
 def foot_motion(points: np.ndarray, floor: float, soft: float) -> tuple[np.ndarray, np.ndarray]:
     """Steps (N - 1, 2) and heights (N - 1,) of a sole whose points are known (N, m, 3): of its lowest part, so rolling

@@ -25,9 +25,6 @@ from bunraku.core.motion import HandleMotion
 from bunraku.retarget.stages.feet import add_bending
 from bunraku.retarget.stages.stage import Contacts, Fitting, Stage, sole_points, with_feet_moved
 
-__all__ = ["Floor", "Ground", "Soles", "enough"]
-
-
 _WINGS = [HANDLE_NAMES.index(f"{side}_wing") for side in ("left", "right")]
 
 

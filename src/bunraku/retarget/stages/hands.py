@@ -16,9 +16,6 @@ from bunraku.core.geometry.curves import gaussian, running_most, smooth_step
 from bunraku.core.motion import HandleMotion
 from bunraku.retarget.stages.stage import Fitting, Stage, with_feet_moved
 
-__all__ = ["BodySurface", "Hands", "HandsClear"]
-
-
 _PARTS = {"head": ("head", "head_top", "face"), "spine3": ("spine2", "spine3", "left_wing", "right_wing"),
 "pelvis": ("pelvis", "spine1"),
           "left_hip": ("left_hip",), "right_hip": ("right_hip",)}  # fmt: skip

@@ -27,8 +27,6 @@ from bunraku.core.geometry.rotations import (
 )
 from bunraku.retarget.stages.stage import Fitting, Stage
 
-__all__ = ["Attach", "Blocks", "Fins", "Legless", "Level", "RestPose"]
-
 
 @dataclass(frozen=True)
 class RestPose(Stage):

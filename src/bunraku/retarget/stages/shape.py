@@ -21,9 +21,6 @@ from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import handle_offsets
 from bunraku.retarget.stages.stage import Fitting, Stage
 
-__all__ = ["Shape", "Smooth"]
-
-
 KERNEL = np.array([-1, 4, 10, 4, -1]) / 16
 """Maximally flat: keeps cubic motion as it is, and nothing at half the frame rate."""
 

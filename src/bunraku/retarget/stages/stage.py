@@ -12,8 +12,6 @@ from bunraku.anatomy.legs import LEAST_SHIFT, Leg, move_feet
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin
 
-__all__ = ["Contacts", "Fitting", "Stage", "sole_points", "with_feet_moved"]
-
 
 def with_feet_moved(
     motion: HandleMotion, anatomy: Anatomy, legs: list[Leg], shifts: np.ndarray, slopes: np.ndarray | None = None

@@ -25,9 +25,6 @@ from bunraku.core.skinning import skin
 from bunraku.retarget.stages.ground import enough
 from bunraku.retarget.stages.stage import Fitting, Stage
 
-__all__ = ["Lag", "Tail", "TailClear"]
-
-
 _TAIL, _TIP = _TAIL_HANDLES = [HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")]
 # Standard gravity [m/s^2], and the height of a person by whose pendulums the lag was chosen by eye [m].
 _GRAVITY, _PERSON = 9.81, 1.7

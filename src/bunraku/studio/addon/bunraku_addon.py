@@ -19,8 +19,6 @@ import urllib.request
 
 bpy = importlib.import_module("bpy")  # Blender's own; the package itself needs none
 
-__all__ = ["register", "unregister"]
-
 bl_info = {
     "name": "Bunraku",
     "description": "A sentence animates the selected meshes, by the studio on this machine",

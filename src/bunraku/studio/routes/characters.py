@@ -27,8 +27,6 @@ from bunraku.studio.routes.reading import (
 )
 from bunraku.studio.state import State
 
-__all__ = ["ROUTES"]
-
 PICTURE = "picture"
 """The file of a character's picture."""
 PNG = b"\x89PNG"

@@ -35,9 +35,6 @@ from bunraku.studio.routes.reading import (
 )
 from bunraku.studio.workspace import PREVIEWS
 
-__all__ = ["Newer", "ROUTES", "shown_project"]
-
-
 MOST_PROJECTS = 200
 """Each tab has one."""
 

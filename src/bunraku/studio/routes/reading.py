@@ -20,12 +20,6 @@ from bunraku.files import READERS
 from bunraku.studio.projects import copy_entry, open_archive
 from bunraku.studio.state import State
 
-__all__ = [
-    "CHARACTERS", "MOST_BYTES", "MOTIONS", "PROJECTS", "TooLarge", "beside", "body_of",
-    "plain_name", "ready_character", "receive", "studio_state", "unpack",
-]  # fmt: skip
-
-
 MOST_BYTES = 200 << 20
 """Bytes of an upload."""
 MOST_REFUSED = 1 << 30

@@ -41,8 +41,6 @@ from bunraku.studio.routes.reading import (
 )
 from bunraku.studio.state import State
 
-__all__ = ["ROUTES"]
-
 PATIENCE = 30
 """Seconds that a live character waits for other jobs."""
 MOST_NAME = 40

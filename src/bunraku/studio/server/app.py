@@ -35,9 +35,6 @@ from bunraku.studio.state import State
 from bunraku.studio.store import NotThere, Store
 from bunraku.studio.worker import is_full, page_sentence
 
-__all__ = ["Guard", "Keys", "STATIC", "document_of", "schema_of", "studio_app"]
-
-
 LOCAL = ("127.0.0.1", "localhost", "::1", "[::1]")
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; media-src 'self' blob:; "

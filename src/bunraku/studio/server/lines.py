@@ -6,8 +6,6 @@ import asyncio
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-__all__ = ["Line"]
-
 
 class Line(H11Protocol):
     """uvicorn's protocol, which itself waits for good for the first request and for the rest of a body."""

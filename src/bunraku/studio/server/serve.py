@@ -15,8 +15,6 @@ from typing import Any
 
 from bunraku.errors import BunrakuError, MissingExtraError, OptionError
 
-__all__ = ["held_folder", "serve"]
-
 LOCK = ".held"
 """The file in the studio's folder that says which process has it."""
 

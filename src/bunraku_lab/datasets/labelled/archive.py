@@ -11,8 +11,6 @@ from bunraku.files import load_character
 from bunraku_lab.datasets.characters.training_character import facing_rotation
 from bunraku_lab.datasets.labelled.figures import PART, UNKNOWN, Labelled
 
-__all__ = ["archive_figure"]
-
 _PROPS = ("axe", "shield", "mug", "sword", "spellbook", "wand", "staff", "knife", "crossbow", "throwable", "pistol")
 _WORN = ("hat", "helmet", "backpack")
 _HEAD = {

@@ -27,8 +27,6 @@ from bunraku_lab.synthetic.makehuman import pose_points, random_body, random_res
 from bunraku_lab.synthetic.wardrobe.character import is_draped, open_closet, wardrobe_costume
 from bunraku_lab.synthetic.wardrobe.model import Costume
 
-__all__ = ["Labelled", "code_made", "draped", "dressed", "wardrobe"]
-
 PART = {name: number for number, name in enumerate(PARTS)}
 CARRIER = {name: number for number, name in enumerate(CARRIERS)}
 UNKNOWN = -1

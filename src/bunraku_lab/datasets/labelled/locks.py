@@ -11,8 +11,6 @@ from bunraku_lab.synthetic.families.model import block_mesh
 from bunraku_lab.synthetic.fields import ball
 from bunraku_lab.synthetic.surfaces import curve_through, strand, unit
 
-__all__ = ["with_locks"]
-
 
 class _Head:
     """Where the head of a figure is, and the hair that is put on it."""

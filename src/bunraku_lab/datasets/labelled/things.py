@@ -11,8 +11,6 @@ from bunraku_lab.synthetic.families.model import block_mesh
 from bunraku_lab.synthetic.fields import ball, grid_surface
 from bunraku_lab.synthetic.surfaces import sheet_faces, unit
 
-__all__ = ["fused", "with_things"]
-
 Mesh = tuple[np.ndarray, np.ndarray]
 _MARGIN = 3
 """Empty voxels about what is fused."""

@@ -9,8 +9,6 @@ from bunraku_lab.synthetic.families.model import block_mesh
 from bunraku_lab.synthetic.fields import ball
 from bunraku_lab.synthetic.surfaces import sheet_faces, strand, unit
 
-__all__ = ["with_accessories"]
-
 Mesh = tuple[np.ndarray, np.ndarray]
 
 

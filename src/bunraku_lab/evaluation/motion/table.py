@@ -107,7 +107,7 @@ class MotionEvalConfig:
 
     def sampler(self) -> SamplerSettings:
         """The sampler of what the network says alone."""
-        from bunraku.generation.generate import GUIDANCE, STEPS
+        from bunraku.generation.candidates import GUIDANCE, STEPS
 
         steps, guidance = (
             STEPS if self.steps is None else self.steps,

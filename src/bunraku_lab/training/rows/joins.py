@@ -9,8 +9,6 @@ import numpy as np
 from bunraku.generation.features import feature_weights
 from bunraku.generation.splicing import join_point, played, splice
 
-__all__ = ["FEWEST", "Joins"]
-
 FEWEST = 24  # fewest frames of a stretch of standing
 TRIED = 20
 NEAR = 0.5  # largest difference of two poses that are joined, where no sampler follows
