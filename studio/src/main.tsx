@@ -164,7 +164,7 @@ function Asking() {
 
 /** What the dots in the view are. */
 function Legend() {
-  const shown = !playing.value && take.value?.state === "done" && take.value.skin === "handles" && !comparing.value;
+  const shown = !playing.value && take.value?.state === "done" && take.value.skin === "handles" && !comparing.value && !painting.value;
   return shown && (character.value?.ends?.length ?? 0) > 0 ? (
     <p class="legend">
       <i class="dot" /> drag a hand or a foot <i class="dot pinned" /> pinned now

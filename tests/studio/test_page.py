@@ -394,7 +394,7 @@ def test_twelve_tabs_of_one_browser_are_served_and_each_has_its_view(shared):
         for number, tab in enumerate(tabs):
             tab.set_viewport_size({"width": 480, "height": 360})  # without a GPU, pixels are what takes the time
             tab.goto(shared.studio.address)
-            tab.wait_for_selector(".takes li.chosen")
+            tab.wait_for_selector(".takes li.chosen", state="attached")  # so narrow a page has it in a sheet
             tab.evaluate(f"studio.change('', {{ seed: {700 + number} }})")
         shared.studio.until(
             lambda: (
@@ -404,7 +404,7 @@ def test_twelve_tabs_of_one_browser_are_served_and_each_has_its_view(shared):
             "twelve views",
         )
         tabs[3].reload()
-        tabs[3].wait_for_selector(".takes li.chosen")
+        tabs[3].wait_for_selector(".takes li.chosen", state="attached")
         assert tabs[3].evaluate("studio.doc.value.seed") == 703
     finally:
         for tab in tabs:
