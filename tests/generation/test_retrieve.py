@@ -34,14 +34,14 @@ from bunraku.language.parse import clause_of
 from bunraku_lab.evaluation.motion.metrics import posed_positions
 
 
-def test_a_packed_stretch_is_the_same_to_half_a_millimetre_and_a_milliradian():
+def test_a_packed_stretch_is_the_same_to_half_a_millimetre_and_two_milliradians():
     random = np.random.default_rng(0)
     root = np.cumsum(random.normal(0, 0.02, (80, 3)), axis=0)
     rotations = matrix_from_axis_angle(np.cumsum(random.normal(0, 0.03, (80, 22, 3)), axis=0))
     data = packed_stretch(root, rotations)
     found_root, found = unpacked_stretch(data, 80)
     assert np.abs(found_root - root).max() <= 0.00026
-    assert np.linalg.norm(axis_angle_from_matrix(found.swapaxes(-1, -2) @ rotations), axis=-1).max() < 0.0015
+    assert np.linalg.norm(axis_angle_from_matrix(found.swapaxes(-1, -2) @ rotations), axis=-1).max() < 0.003
     assert len(data) < 80 * 150
 
 
@@ -307,3 +307,12 @@ def test_the_sampler_retrieves_for_the_sentence_from_the_shipped_examples(runnin
     assert np.array_equal(one, sample(model, text, 40, Solver(2), seed=1).values)
     model.layers[1].examples.leave.matrix[:] = 0
     assert np.abs(one - sample(model, text, 40, Solver(2), seed=1).values).max() > 1e-3
+
+
+def test_what_the_pack_holds_of_its_sentences_is_what_is_read_in_them():
+    pack = read_pack(weights_file("examples.safetensors"))
+    for index in np.random.default_rng(0).choice(len(pack.examples), 40, replace=False).tolist():
+        assert pack.said(index) == said_by(pack.examples[index].texts), (
+            f"{pack.examples[index].name}: sentences are read otherwise now; write the pack again with 'bunraku data "
+            "examples --add-to shipped -o src/bunraku/weights/examples.safetensors'"
+        )

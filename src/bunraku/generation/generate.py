@@ -106,9 +106,10 @@ def generate_motions(
         shown = [clause if guidance.shows(clause) else clause.body for clause in scripts[row]]
         second = [clause.meanwhile or clause for clause in scripts[row]]
         script, gestures = (list(zip(clauses, lengths, strict=True)) for clauses in (shown, second))
-        if number < plain and not guidance.led_by(script) and not guidance.led_by(gestures):
+        led = guidance.led_by(script) or guidance.led_by(gestures)
+        if number < plain and not led:
             return None, None
-        turn = attempt * (how.candidates - plain) + max(number - plain, 0)
+        turn = index if led else attempt * (how.candidates - plain) + number - plain
         return guidance.of(script, noise[row], turn), guidance.of(gestures, noise[row], turn)
 
     def draw(rows: list[int], indices: list[int]) -> list[Candidate]:

@@ -1,7 +1,8 @@
 """Captured examples in one file: short stretches of motion with sentences, and the ranker's vectors of both.
 
 A stretch is kept as the motion of a skeleton of 22 joints: the root's position and the joints' rotations at 20 frames a
-second, in steps of half a millimetre and of a milliradian, their differences packed by LZMA: 50 bytes a frame.
+second, in steps of half a millimetre and of two milliradians, their second differences packed by LZMA: 41 bytes a
+frame. What its sentences say is kept beside them, so that they are not read again wherever a motion is made.
 """
 
 from __future__ import annotations
@@ -36,7 +37,10 @@ BUSY = "#busy"
 """The same of people who use their hands; gestures take all but these from them."""
 _OTHER_SIDE = {"left": "right", "right": "left"}
 MOST_FRAMES = 2_000  # of one stretch; more in a file is damage
-_METRES, _RADIANS = 5e-4, 1e-3
+_METRES, _RADIANS, _ORDER = 5e-4, 2e-3, 2
+"""Steps of a packed stretch, and how often differences are taken: with one milliradian and first differences, 60
+stretches took 23 % more bytes.
+"""
 _STEPS = 127.0  # into which 1 is parted in a file's unit vectors; a cosine is then off by .003 at the most
 _NUMBERS = 3 + 3 * JOINT_COUNT
 _FILTERS = lzma_filters(9 | lzma.PRESET_EXTREME, 1 << 16)
@@ -130,6 +134,7 @@ class ExamplePack:
     motions: np.ndarray  # unit vectors of the stretches and of their mirror images, shape (2, E, V)
     ranker: str  # fingerprint of the ranker's weights that made the vectors
     stand: Sequence[int] | None = None  # result of `stand_well`; None where it is not stored
+    readings: Sequence[Said] | None = None  # what the sentences of each say; None where it is not stored
 
     @functools.cached_property
     def made(self) -> np.ndarray:
@@ -173,7 +178,7 @@ class ExamplePack:
 
     def said(self, index: int) -> Said:
         """What the sentences of an example say."""
-        return said_by(tuple(self.examples[index].texts))
+        return said_by(self.examples[index].texts) if self.readings is None else self.readings[index]
 
     def nearness(self, vector: np.ndarray, mirrored: bool) -> tuple[np.ndarray, np.ndarray]:
         """The cosines (E,) of the ranker's unit vector (V,) of a sentence with the nearest sentence of each example,
@@ -254,7 +259,7 @@ def packed_stretch(root: np.ndarray, rotations: np.ndarray) -> bytes:
         rotations: Of the 22 joints relative to their parents, shape (N, 22, 3, 3).
     """
     turns = axis_angle_from_matrix(rotations.astype(float)).reshape(len(root), -1)
-    return pack_steps(np.concatenate([root / _METRES, turns / _RADIANS], axis=1), 1, _FILTERS)
+    return pack_steps(np.concatenate([root / _METRES, turns / _RADIANS], axis=1), _ORDER, _FILTERS)
 
 
 def unpacked_stretch(data: bytes, frames: int) -> tuple[np.ndarray, np.ndarray]:
@@ -276,22 +281,27 @@ def _stretch_values(data: bytes, frames: int) -> np.ndarray:
     try:
         if not 0 < frames <= MOST_FRAMES:
             raise ValueError
-        return unpack_steps(data, frames, _NUMBERS, 1, _FILTERS)
+        return unpack_steps(data, frames, _NUMBERS, _ORDER, _FILTERS)
     except ValueError as error:
         raise WeightsError("the examples are damaged; install Bunraku again or build them again") from error
 
 
 def write_pack(path: str | Path, pack: ExamplePack, notes: Mapping[str, object]) -> Path:
-    """Write examples with notes on their sources and choice, and in which stretches a person stands well."""
+    """Write examples with notes on their sources and choice, with those in which a person stands well, and with what
+    their sentences say, read anew.
+    """
     from bunraku.core.nn.checkpoints import save_checkpoint
 
     table = [[example.name, list(example.texts), example.frames, list(example.loop or ())] for example in pack.examples]
     texts = np.rint(_STEPS * pack.texts).astype(np.int8)
     sided = np.flatnonzero((texts[0] != texts[1]).any(axis=1))  # most sentences are the same in the mirror
+    readings = [said_by(example.texts) for example in pack.examples]
+    distinct = {said: number for number, said in enumerate(dict.fromkeys(readings))}
     tensors: dict[str, np.ndarray] = {
         "data": np.frombuffer(b"".join(pack.data), np.uint8),
         "sizes": np.array([len(part) for part in pack.data], np.int32),
         "owners": pack.owners.astype(np.int32),
+        "readings": np.array([distinct[said] for said in readings], np.int32),
         "texts": texts[0],
         "sided": sided.astype(np.int32),
         "mirrored": texts[1, sided],
@@ -302,6 +312,8 @@ def write_pack(path: str | Path, pack: ExamplePack, notes: Mapping[str, object])
         "ranker": pack.ranker,
         "notes": notes,
         "stand": list(stand_well(pack)),
+        "readings": [[sorted(part) for part in said] for said in distinct],
+        "radians": _RADIANS,
     }
     return save_checkpoint(path, tensors, config, KIND, half=True)
 
@@ -315,6 +327,11 @@ def read_pack(path: str | Path) -> ExamplePack:
     from bunraku.core.nn.checkpoints import fitting_config, load_checkpoint
 
     state, config = load_checkpoint(path, KIND)
+    if config.get("radians") != _RADIANS:
+        raise WeightsError(
+            f"{path}: these examples are of an older version; build them again with 'bunraku data examples --add-to "
+            "shipped', or take them away"
+        )
     with fitting_config(path):
         sizes = state["sizes"].tolist()
         ends = np.cumsum([0, *sizes])
@@ -326,13 +343,19 @@ def read_pack(path: str | Path) -> ExamplePack:
             for name, texts, frames, loop in config["examples"]
         ]
         owners = state["owners"]
+        said = [Said(*map(frozenset, parts)) for parts in config["readings"]]
         pack = ExamplePack(
             tuple(examples), tuple([data[start:stop] for start, stop in zip(ends, ends[1:], strict=False)]), owners,
             _both_sides(state), _units(state["motions"]), str(config["ranker"]),
-            [int(index) for index in config["stand"]] if "stand" in config else None,
+            [int(index) for index in config["stand"]], [said[number] for number in state["readings"].tolist()],
         )  # fmt: skip
         fits = pack.texts.shape[:2] == (2, len(owners)) and pack.motions.shape[:2] == (2, len(examples))
-        if not fits or len(sizes) != len(examples) or not ((owners >= 0) & (owners < len(examples))).all():
+        if (
+            not fits
+            or len(sizes) != len(examples)
+            or len(pack.readings or ()) != len(examples)
+            or not ((owners >= 0) & (owners < len(examples))).all()
+        ):
             raise ValueError("its tables have different lengths")
         if not all(0 <= index < len(examples) for index in pack.stand or ()):
             raise ValueError("people stand in stretches that it does not have")
@@ -340,14 +363,12 @@ def read_pack(path: str | Path) -> ExamplePack:
 
 
 def _units(vectors: np.ndarray) -> np.ndarray:
-    """Unit vectors of a file; older ones hold them as float16."""
-    return vectors.astype(np.float32) / _STEPS if vectors.dtype == np.int8 else vectors
+    """Unit vectors of a file."""
+    return vectors.astype(np.float32) / _STEPS
 
 
 def _both_sides(state: Mapping[str, np.ndarray]) -> np.ndarray:
     """Unit vectors of the sentences and of the mirrored ones, shape (2, T, V)."""
-    if state["texts"].ndim == 3:  # of an older file
-        return _units(state["texts"])
     texts = np.stack([_units(state["texts"])] * 2)
     texts[1, state["sided"]] = _units(state["mirrored"])
     return texts

@@ -17,7 +17,7 @@ from bunraku.language.clauses import limbs_described
 from bunraku.language.interactions import Interaction, says_more
 from bunraku.language.lexicon import goes_ahead, lexicon
 from bunraku.language.phrasing import tells_all
-from bunraku.language.posing import Posing
+from bunraku.language.posing import Posing, Stance
 from bunraku.language.sentence import Clause
 
 # Chosen by eye on sheets of generated motion.
@@ -71,6 +71,7 @@ class Found(NamedTuple):
     detail: Interaction | Posing | None = None
     straight: bool = False  # it is not to turn
     close: bool = False  # it says the same in much the same words, so that it is followed closely
+    stance: Stance | None = None  # in which it is done, where its own sentences say nothing of that
 
 
 class Retrieved(NamedTuple):
@@ -95,7 +96,8 @@ def retrieve(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> Retrieved
 def _offered(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> Retrieved:
     """Examples that show what a clause says. Described limbs are a gesture of their own, and what is done with a thing
     one through the positions that it names, or as captured where it names none. Where no example shows everything,
-    those count that show it once, to be repeated, and those with the right limb, whichever way its movement goes.
+    those count that show it once, to be repeated, those with the right limb, whichever way its movement goes, and those
+    of people who stand, for what is done sitting.
 
     Args:
         pack: To choose from.
@@ -114,10 +116,15 @@ def _offered(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> Retrieved
         return Retrieved(described)
     limbed = any(f"{side} {limb}" in clause.cues for side in ("left", "right") for limb in ("arm", "leg"))
     let_go = _WAYS if limbed and "goes" not in clause.traits else frozenset[str]()
+    let_go |= frozenset(("sits",)) if "sits" not in clause.traits else frozenset[str]()
     let_go |= _COUNTS if clause.count and 1 < clause.count <= MOST_TIMES else frozenset[str]()
     if found.found or found.lacking or not let_go & clause.cues:
         return found
-    return _retrieved(pack, clause, vector, let_go)
+    found = _retrieved(pack, clause, vector, let_go)
+    if "sits" not in let_go & clause.cues:
+        return found
+    stance = clause.stance or Stance("seat")
+    return found._replace(found=[example._replace(stance=stance) for example in found.found])
 
 
 def _described(pack: ExamplePack, clause: Clause, posing: Posing) -> list[Found]:

@@ -35,6 +35,7 @@ TURNS = frozenset(("turn", "turn around", "spin", "circle", "dance", "salsa", "b
 _BEGUN = 0.7  # s until a motion has begun; of the same 144 takes, 1 % then began later than a second
 _LATE = 0.8  # s later, nothing of the claim is left; the same
 _LIVELY = 0.4  # m/s, mean speed of the body's points in a slow walk, from which on any motion has begun
+_DONE = 0.6  # m/s, of the fastest point in what is done once; people who stand ready stay below half of it
 _REST = 1.2  # s that a motion may rest at its end; people who watched takes called 1.5 s idle
 _CALM = 0.2  # share of the highest speed below which a body rests
 _FLAT = 0.3  # m over the ground, below which the ankles of a body are that lies flat
@@ -215,6 +216,8 @@ def _posture(clause: Clause, track: Track) -> float | None:
     first, last = _ends(track)
     if "gets up" in clause.traits:
         return (last - first) / _SEAT
+    if clause.stance is not None and clause.stance.name in ("seat", "chair"):
+        return (-max(first, last) - _SEAT) / _CLEAR
     if "sits" not in clause.traits:
         return None
     low = min((-last - _SEAT) / _CLEAR, 1.0)
@@ -247,6 +250,16 @@ def _begins(clause: Clause, track: Track) -> float | None:
     return 1 - max(onset(track) - _BEGUN, 0) / _LATE
 
 
+def _done(clause: Clause, track: Track) -> float | None:
+    """What is done once is done: nobody only stands ready for it."""
+    rows = lexicon().actions
+    if not any(rows[action].seconds for action in clause.actions if action in rows):
+        return None
+    points = np.stack(list(track.points.values()), axis=1)
+    speed = np.linalg.norm(np.gradient(points, axis=0), axis=-1).max(axis=1) * track.fps
+    return 2 * float(smooth(speed, 0.05, track.fps).max()) / _DONE - 1
+
+
 def _fills(clause: Clause, track: Track) -> float | None:
     """The body does not rest for long at the end of what goes on; after what changes its posture, and on the ground, it
     may.
@@ -272,6 +285,7 @@ CLAIMS = (
     Claim("sitting or standing", _posture),
     Claim("staying down", _stays_down, of_one=False),
     Claim("keeping the posture", _same_posture, of_one=False),
+    Claim("doing it", _done, of_one=False),
     Claim("beginning at once", _begins, of_one=False),
     Claim("filling the time", _fills, of_one=False),
 )

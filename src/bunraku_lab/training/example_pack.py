@@ -146,8 +146,8 @@ _BUSY = re.compile(
     r"\b(arms?|hands?|balls?|pass(es|ing)?|strokes?|swings?|throws?|fight\w*|karate|push\w*|shov\w*)\b", re.I
 )
 _WORDINGS = 3
-_BYTES = 50
-"""Of a packed frame, about."""
+_BYTES = 41
+"""Of a packed frame, about, as measured on 60 stretches."""
 
 
 @dataclass(frozen=True)
@@ -381,6 +381,7 @@ def _widest(
         base, examples=tuple(base.examples[index] for index in stays), data=tuple(base.data[index] for index in stays),
         owners=np.array([place_of[owner] for owner in base.owners[rows].tolist()], np.int32),
         texts=base.texts[:, rows], motions=base.motions[:, stays], stand=None,
+        readings=None,
     )  # fmt: skip
     return slim, [found[index - len(base.examples)] for index in sorted(kept) if index >= len(base.examples)]
 

@@ -33,7 +33,7 @@ class Stages:
         hands_clear: Hands stay out of the body.
         lag: Ears, horns, a trunk and a tail that nothing moves follow what they grow from with a damped lag.
         tail_clear: A tail that would sink into the ground is turned up.
-        floor: Nothing sinks into the ground, and feet that stand are on it.
+        floor: Nothing sinks into the ground, and feet that stand, and legs of a body that lies, are on it.
     """
 
     smooth: bool = True

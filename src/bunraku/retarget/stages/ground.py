@@ -168,7 +168,7 @@ def _lifted(motion: HandleMotion, lift: np.ndarray) -> HandleMotion:
 
 @dataclass(frozen=True)
 class Floor(Stage):
-    """Nothing sinks into the ground, and feet that stand are on it.
+    """Nothing sinks into the ground, and feet that stand, and legs of a body that lies, are on it.
 
     Args:
         hand: How far from the wrist a hand reaches, over the arm's length; farther out is what it holds.
@@ -179,6 +179,8 @@ class Floor(Stage):
         pull: Weight of the heights of other feet.
         air: Half of the longest time that a body on legs that do not bend stays in the air [s].
         flies: A body on such legs that is farther up than between these shares of the height climbs or flies.
+        lies: How far the pelvis of the reference body is under its standing height where it lies [m].
+        raised: Legs whose soles are higher over the ground in the reference body are meant to be up [m].
     """
 
     name: ClassVar[str] = "floor"
@@ -191,9 +193,13 @@ class Floor(Stage):
     pull: float = 0.05
     air: float = 0.75
     flies: tuple[float, float] = (0.12, 0.2)
+    lies: float = 0.6
+    raised: float = 0.3
 
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
         motion = fitting.motion
+        if anatomy.is_person and fitting.heights is None:
+            motion = self.rested(motion, fitting.source, anatomy)
         stiff = bool(anatomy.legs) and all(leg.upper == leg.lower for leg in anatomy.legs)
         if stiff and fitting.heights is None:
             motion = self.vaulted(motion, fitting.source, anatomy)
@@ -209,6 +215,22 @@ class Floor(Stage):
         air = want - running_least(want, 2 * round(self.air * source.fps) + 1)
         up = air * anatomy.scale - have
         return _lifted(motion, np.where(up < 0, up * (1 - smooth_step(-up / anatomy.mesh.height, *self.flies)), up))
+
+    def rested(self, motion: HandleMotion, source: HandleMotion, anatomy: Anatomy) -> HandleMotion:
+        """A motion whose legs are on the ground while the body lies: a belly that is thicker than the reference body's
+        holds them up.
+        """
+        lies = (source.root_translation[:, 1] < -self.lies) & (np.abs(source.root_rotation[:, 1, 1]) < np.sqrt(0.5))
+        if not lies.any() or len(anatomy.legs) != 2:
+            return motion
+        body = reference_anatomy()
+        soles = [sole_points(leg, body, source.transforms(body.handles.positions))[..., 1] for leg in body.legs]
+        own = [sole_points(leg, anatomy, motion.transforms(anatomy.handles.positions))[..., 1] for leg in anatomy.legs]
+        shifts = np.zeros((len(motion), 2, 3))
+        for number, (heights, have) in enumerate(zip(soles, own, strict=True)):
+            share = gaussian((lies & (heights.min(axis=1) < self.raised)).astype(float), self.spread * motion.fps)
+            shifts[:, number, 1] = -share * np.maximum(have.min(axis=1) - anatomy.floor, 0)
+        return with_feet_moved(motion, anatomy, anatomy.legs, shifts)
 
     def _foot_lifts(self, heights: np.ndarray, trust: np.ndarray, most: float, depth: float, reach: int) -> np.ndarray:
         """How far a foot is moved up in each frame [m], shape (N,): to the ground where it stands (`trust`), down by
