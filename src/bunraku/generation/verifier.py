@@ -251,7 +251,7 @@ def _begins(clause: Clause, track: Track) -> float | None:
 
 
 def _done(clause: Clause, track: Track) -> float | None:
-    """What is done once is done: nobody only stands ready for it."""
+    """A body does what is done once, and does not only stand ready for it."""
     rows = lexicon().actions
     if not any(rows[action].seconds for action in clause.actions if action in rows):
         return None
