@@ -346,7 +346,13 @@ def test_a_painted_skirt_swings_on_chains(tmp_path):
     def run(task, **params):
         return run_task(shop, task, {"character": "one", **params}, lambda stage, done: None, told.append)
 
-    run("open", file=record["file"], settings=settings)
+    opened = run("open", file=record["file"], settings=settings)["body"]
+    knee = next(joint["point"] for joint in opened["joints"] if joint["name"] == "left_knee")
+    lower = [knee[0], round(knee[1] - 0.05, 4), knee[2]]
+    (folder / "source" / "dancer.body.toml").write_text(f"[joints]\nleft_knee = {lower}\n")
+    again = run("open", file=record["file"], settings=settings, again=True)["body"]
+    assert next(joint["point"] for joint in again["joints"] if joint["name"] == "left_knee") == lower
+    assert again["said"]["joints"] == {"left_knee": lower} and "body" in {part["kind"] for part in again["parts"]}
     run("find-out")
     found = found_mask(folder / WORN)
     assert found.any()

@@ -10,6 +10,8 @@ import pytest
 from packed import unpacked_clip
 
 from bunraku.anatomy.anatomy import Anatomy
+from bunraku.core.body.corrections import Corrections, read_corrections
+from bunraku.core.request import from_json
 from bunraku.generation.library import all_clips, clip
 from bunraku.language.parse import parse
 from bunraku.pipelines.apply import apply_motion
@@ -182,6 +184,21 @@ def test_axes_that_cannot_be(client, ready):
     answer = client.patch(f"/api/characters/{ready}", json={"up": "+z", "front": "-z"})
     assert answer.status_code == 400 and "same axis" in answer.json()["error"]
     assert client.patch(f"/api/characters/{ready}", json={"unit": "feet"}).status_code == 400
+
+
+def test_a_body_is_corrected_by_a_file_beside_it(client, ready):
+    state = client.app.state.studio
+    file = state.store.folder_of("characters", ready) / "source" / "one.body.toml"
+    file.parent.mkdir()
+    address = f"/api/characters/{ready}/body"
+    answer = client.put(address, json={"joints": {"knee": [0, 0, 0]}})
+    assert answer.status_code == 400 and "there is no joint 'knee'" in answer.json()["error"] and not file.exists()
+    said = {"front": "-z", "joints": {"left_knee": [0.1, 0.5, 0]}, "part": [{"kind": "prop", "at": [[0, 1, 0]]}]}
+    job = client.put(address, json=said).json()["job"]
+    assert read_corrections(file.with_name("one.glb")) == from_json(Corrections, said)
+    assert "wait for it" in client.delete(address).json()["error"]
+    client.delete(f"/api/jobs/{job}")
+    assert client.delete(address).status_code == 202 and not file.exists()
 
 
 def test_a_character_in_work_is_not_turned(client, ready):

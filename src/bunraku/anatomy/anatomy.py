@@ -8,6 +8,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from scipy.sparse import csr_matrix
 
+from bunraku.anatomy.corrected import joint_numbers, moved_joints
 from bunraku.anatomy.handles.limbs import LIMB_HANDLES, has_extra_legs
 from bunraku.anatomy.joints import (
     Joints,
@@ -181,17 +182,27 @@ class Anatomy:
     @cached_property
     def _estimates(self) -> list[Joints]:
         """Joints as the weights imply them, of the body with each further limb in turn."""
-        return [find_joints(self.mesh, some) for some in [view.handles for view in self._views] or [self.mesh_handles]]
+        all_handles = [view.handles for view in self._views] or [self.mesh_handles]
+        return [self._as_said(find_joints(self.mesh, some)) for some in all_handles]
+
+    @cached_property
+    def _said(self) -> dict[int, np.ndarray]:
+        return joint_numbers(self.character, self.handles)
+
+    def _as_said(self, joints: Joints) -> Joints:
+        """Joints where a person said that they are."""
+        return replace(joints, positions=moved_joints(self._said, joints.positions)) if self._said else joints
 
     @cached_property
     def rest(self) -> tuple[np.ndarray, Joints]:
         """The rotation of each handle from the rest pose into the reference body's (K, 3, 3), and the joints."""
         if self.known is not None:
-            return self.known
+            return self.known[0], self._as_said(self.known[1])
         guess = iter(self._estimates)
         turns, joints = by_limb(
             self.mesh_handles, lambda some: rest_of_limbs(self.mesh, some, next(guess)), self._views
         )
+        joints = self._as_said(joints)
         for array in (turns, joints.positions, joints.parents, joints.present):
             array.setflags(write=False)
         return turns, joints

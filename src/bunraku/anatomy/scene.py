@@ -12,6 +12,7 @@ import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from bunraku.anatomy.corrected import beside_as_said
 from bunraku.core.character import Character
 from bunraku.core.geometry.graph import clean_mesh, mesh_parts, unique_edges
 from bunraku.core.geometry.surface import surface_points, vertex_areas
@@ -106,6 +107,9 @@ def separated(character: Character, number: int | None = None) -> tuple[Characte
     Raises:
         OptionError: There are not so many.
     """
+    said = character.corrections
+    if number is None and said is not None and character.beside is None:
+        number = said.character
     if number is None and (character.rig is not None or character.beside is not None):
         return character, []
     answers = character.__dict__.setdefault("_separated", {})  # clips of one character have one object for it
@@ -121,7 +125,8 @@ def _separated(character: Character, number: int | None) -> tuple[Character | No
     count = len(scene.characters)
     if number is not None and not 1 <= number <= count:
         raise OptionError(f"{character.name}: there is no character {number} in this file; it has {count}")
-    beside, lines = character.surface & ~scene.characters[(number or 1) - 1], scene.lines
+    beside = beside_as_said(character, character.surface & ~scene.characters[(number or 1) - 1])
+    lines = scene.lines
     if not beside.any():
         return None, []
     if count > 1:

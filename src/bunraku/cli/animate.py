@@ -452,8 +452,7 @@ def _limits_said(path: Path, body: Body) -> Callable[[str], None]:
     cannot do.
     """
     if body.parts is not None:
-        document = getattr(body.character.source, "document", None)
-        own = document is None or bool(document.items("skins"))
+        own = getattr(body.character.source, "moved", None) is None  # a skeleton that is given bends the mesh to it
         said = (
             "its own {} bones move it (--rig handles for 30 handles)" if own else "{} bones that it was given move it"
         )

@@ -190,6 +190,10 @@ class Inspect:
     """
     apparel: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
     """Write what is guessed of hair and clothes to a TOML to be changed: girl.apparel.toml beside girl.obj counts."""
+    body: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
+    """Write what is guessed of axes, joints and pieces to a TOML to be corrected: girl.body.toml beside girl.obj
+    counts.
+    """
     overwrite: bool = False
     """Replace a file that is there already and that Bunraku did not write."""
 
@@ -197,12 +201,14 @@ class Inspect:
         check_input(self.file)
         if self.views is not None:
             self._draw_views(self.views)
-        if self.apparel is not None:
-            check_output(self.apparel, (".toml",), [self.file])
-            check_free([self.apparel], self.overwrite)
+        for path in filter(None, (self.apparel, self.body)):
+            check_output(path, (".toml",), [self.file])
+            check_free([path], self.overwrite)
         facts = describe(self.file, self.unit)
         if self.apparel is not None:
             self._write_apparel(self.apparel, facts.get("chains", []))
+        if self.body is not None:
+            self._write_body(self.body, facts)
         if self.json:
             import json
 
@@ -219,10 +225,24 @@ class Inspect:
                 "out --apparel"
             )
         write_parameters(chains, path)
+        self._wrote(path, SUFFIX)
+
+    def _write_body(self, path: Path, facts: dict[str, Any]) -> None:
+        from bunraku.core.body.corrections import SUFFIX, Corrections, read_corrections, write_corrections
+
+        if "body_joints" not in facts:
+            raise CharacterError(f"{self.file}: no body is found in it; leave out --body")
+        axes = facts["orientation"]["taken_up"], facts["orientation"]["taken_front"]
+        pieces = [(piece["kind"], piece["at"]) for piece in facts["pieces"]]
+        said = read_corrections(self.file) or Corrections()
+        write_corrections(path, said, axes, facts["body_joints"], pieces)
+        self._wrote(path, SUFFIX)
+
+    def _wrote(self, path: Path, suffix: str) -> None:
         note_written([path])
         if not self.json:
             wrote(path)
-        counts = self.file.with_name(f"{self.file.stem}{SUFFIX}")
+        counts = self.file.with_name(f"{self.file.stem}{suffix}")
         if path.resolve() != counts.resolve():
             print(f"it counts as {counts}", file=sys.stderr)
 
@@ -264,27 +284,33 @@ def describe(path: Path, unit: str = "auto") -> dict[str, Any]:
     if suffix not in GLTF:
         facts.pop("generator", None)  # the document stands for a file of another format
     up, front = facts["orientation"]["taken_up"], facts["orientation"]["taken_front"]
-    return facts | _body(character, up, front) | fbx | avatar_facts(character)
+    return facts | _body(character, up, front, unit) | fbx | avatar_facts(character)
 
 
-def _body(character: Character, up: str, front: str) -> dict[str, Any]:
+def _body(character: Character, up: str, front: str, unit: str) -> dict[str, Any]:
     """What handles make of it: what it stands on, which parts are found and how clearly, and what it cannot do."""
     from bunraku.anatomy.anatomy import Anatomy
+    from bunraku.anatomy.corrected import corrected_handles, joint_facts, piece_facts
     from bunraku.anatomy.handles.predict import predict_handles
     from bunraku.anatomy.scene import separated
     from bunraku.apparel.chains.moving import moving_rig
-    from bunraku.files import rotated
+    from bunraku.files import in_metres, rotated
     from bunraku.pipelines.bodies import body_facts
 
     try:
-        standing, lines = separated(rotated(character, up, front))
-        anatomy = Anatomy.of(standing, predict_handles(standing))
+        in_unit = in_metres(rotated(character, up, front), "auto" if unit == "auto" else "m", "+y")[0]
+        standing, lines = separated(in_unit)
+        anatomy = Anatomy.of(standing, corrected_handles(standing, predict_handles(standing)))
         found = body_facts(anatomy)
     except (WeightsError, CharacterError) as error:
         return {"body": None, "body_note": str(error)}
     parts = [{"name": part.name, "area": round(part.area, 4), "clear": round(part.sure, 3)} for part in found.parts]
     facts: dict[str, Any] = {"beside": lines} if lines else {}
     facts |= {"body": found.plan.words, "parts": parts, "cannot": list(found.cannot)}
+    facts |= {
+        "body_joints": joint_facts(anatomy.handles, anatomy.joints),
+        "pieces": piece_facts(standing, anatomy.handles),
+    }
     return facts if moving_rig(character) is not None else facts | shape_facts(anatomy)  # the file has no apparel
 
 
@@ -371,12 +397,20 @@ def _orientation(character: Character) -> dict[str, Any]:
     except WeightsError as error:
         axes = {"up": "+y", "front": "+z", "taken_up": "+y", "taken_front": "+z"}
         return {**axes, "up_confidence": None, "front_confidence": None, "note": f"assumed: {error}"}
-    guess = resolved.guess
-    assert guess is not None
+    guess, taken = resolved.guess, {"taken_up": resolved.up, "taken_front": resolved.front}
+    if guess is None:
+        note = f"up {resolved.up.upper()}, front {resolved.front.upper()}, as the file of corrections says"
+        return {
+            "up": resolved.up,
+            "front": resolved.front,
+            "up_confidence": 1,
+            "front_confidence": 1,
+            **taken,
+            "note": note,
+        }
     return {
         "up": guess.up, "front": guess.front, "up_confidence": round(guess.up_confidence, 3),
-        "front_confidence": round(guess.front_confidence, 3), "taken_up": resolved.up,
-        "taken_front": resolved.front, "note": note,
+        "front_confidence": round(guess.front_confidence, 3), **taken, "note": note,
     }  # fmt: skip
 
 
@@ -477,6 +511,8 @@ _WORDS: dict[str, Callable[[Any], str]] = {
     "rig": _rig_words,
     "mapping": _mapping_words,
     "parts": lambda value: ", ".join(f"{part['name']} ({100 * part['clear']:.0f} % clear)" for part in value),
+    "body_joints": lambda value: _short(list(value)),
+    "pieces": lambda value: _short([f"{piece['kind']} ({100 * piece['area']:.0f} %)" for piece in value]),
     "beside": lambda value: "; ".join(value),
     "apparel": lambda value: _short([say_part(part) for part in value]),
     "chains": lambda value: _short([say_chain(chain) for chain in value]),

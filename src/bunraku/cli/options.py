@@ -69,8 +69,7 @@ def stand_up(character: Character, path: Path, up: str = "auto", front: str = "a
     resolved, line = resolve_file(character, up, front)
     if line:
         print(f"{path}: {line}", file=sys.stderr)
-    if (resolved.up, resolved.front) != ("+y", "+z"):
-        character = rotated(character, resolved.up, resolved.front)
+    character = rotated(character, resolved.up, resolved.front)
     character, note = in_metres(character, unit, "+y")
     if note:
         print(f"{path}: {note}. Type --unit m to keep its numbers.", file=sys.stderr)
@@ -140,7 +139,7 @@ def stands_line(character: Character, up: str = "auto", front: str = "auto") -> 
     resolved, note = resolve_file(character, up, front)
     taken = f"stands with {resolved.up.upper()} up, facing {resolved.front.upper()}"
     if resolved.guess is None:
-        return f"{taken}, as the options say"
+        return f"{taken}, as it is said"
     return f"{taken} ({_percent(resolved.sure)} sure)" + (f" - {note}" if note else "")
 
 

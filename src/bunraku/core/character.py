@@ -100,6 +100,7 @@ class Character:
         avatar: What an MMD or VRM file holds besides its mesh.
         beside: Vertices that stand still beside the body, such as the ground below it, shape (V,), bool; None for none
             (`anatomy.scene.separated`).
+        corrections: What a person says about it in the file beside its own (`Corrections`); None for nothing.
 
     Raises:
         CharacterError: No vertices, no faces, a coordinate that is not finite, an index outside the vertices, or no
@@ -114,6 +115,7 @@ class Character:
     source: Any = field(default=None, compare=False)
     avatar: MmdModel | VrmModel | None = field(default=None, compare=False)
     beside: np.ndarray | None = field(default=None, compare=False)
+    corrections: Any = field(default=None, compare=False)
 
     def __repr__(self) -> str:
         bones = "" if self.rig is None else f", {len(self.rig.names)} bones"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ import numpy as np
 from bunraku.core.animation import Animation, PointAnimation, RigAnimation
 from bunraku.core.arguments import checked
 from bunraku.core.avatars import MmdModel, VrmModel
+from bunraku.core.body.corrections import read_corrections
 from bunraku.core.character import Character, Handles
 from bunraku.core.files import MAX_BYTES, MAX_TEXT_BYTES, check_input, check_output_folder, open_input
 from bunraku.core.geometry.axes import BARE, UNITS, axis_name, default_orientation, likely_unit
@@ -317,6 +318,8 @@ def load_character(
 ) -> Character:
     """Read a character from GLB, glTF, VRM, FBX, PMX, PMD, OBJ, PLY or STL.
 
+    A file of corrections beside it, such as hero.body.toml beside hero.glb (docs/files.md), comes along.
+
     Vertices are in world space, those of FBX in metres and +Y up by the frame and unit that the file states. OBJ, PLY
     and STL state neither: they are taken as +Y up and +Z forward, in the unit that makes their height a character's;
     the log warns where that is not the metre.
@@ -343,7 +346,7 @@ def load_character(
         raise OptionError(f"the rest pose of a file is 'bind' or 'default', not {rest!r}")
     axes = [None if axis is None else axis_name(axis) for axis in (up, front)]
     check_unit(unit)
-    character: Character = _read(path, "character", rest=rest, clip_fps=clips)
+    character = _read_character(path, rest=rest, clip_fps=clips)
     standing = None if axes == [None, None] else default_orientation(*axes)
     if unit != "m":
         character, note = in_metres(character, unit, None if standing is None else standing[0])
@@ -356,8 +359,13 @@ def load_with_clips(path: str | Path, fps: float) -> Character:
     """Read a character with all clips of its file; those of FBX at a rate [1/s]. Errors are those of
     `load_character`.
     """
-    character: Character = _read(path, "character", clip_fps=fps)
-    return character
+    return _read_character(path, clip_fps=fps)
+
+
+def _read_character(path: str | Path, **options: object) -> Character:
+    """The character of a file, with what the file of corrections beside it says."""
+    character: Character = _read(path, "character", **options)
+    return replace(character, corrections=read_corrections(Path(path)))
 
 
 def read_motion(path: str | Path) -> HandleMotion | SkeletalMotion:

@@ -11,6 +11,7 @@ from typing import Literal, TypedDict, TypeVar, Unpack, cast, overload
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
+from bunraku.anatomy.handles.orientation import as_said
 from bunraku.core.animation import AnimatedCharacter, Animation
 from bunraku.core.arguments import checked
 from bunraku.core.body.layout import kept_handles
@@ -32,7 +33,7 @@ from bunraku.retarget.pins import Pin, meet_pins
 
 def opened(character: Character | str | Path) -> Character:
     """A character, read where its file is given; see `bunraku.load_character`."""
-    return load_character(character) if isinstance(character, str | Path) else character
+    return as_said(load_character(character)) if isinstance(character, str | Path) else character
 
 
 @checked

@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
+from bunraku.anatomy.corrected import corrected_handles
+from bunraku.anatomy.handles.orientation import as_said
 from bunraku.anatomy.handles.predict import Predictor
 from bunraku.anatomy.scene import separated
 from bunraku.core.animation import AnimatedCharacter, Animation, RigAnimation
@@ -306,7 +308,7 @@ class Animator:
 
             best = replace(rig_handles(character), features=self.predictor.feature(character))
         else:
-            best = self.predictor(character)
+            best = corrected_handles(character, self.predictor(character))
         best = best.top(4)
         self.progress("handles", 1.0)
         return best
@@ -320,7 +322,7 @@ class Animator:
                 are not understood; or as for `handles`.
         """
 
-        character, lines = separated(character)
+        character, lines = separated(character if request.handles_given else as_said(character))
         for line in lines:
             _log.warning("%s: %s", character.name, line)
 
@@ -422,7 +424,9 @@ def own_rig(character: Character, request: Request, on_handles: Callable[[], Ana
         return None
     from bunraku.retarget.rig_parts import RigParts, understood_rig
 
-    parts = understood_rig(character) or (RigParts.by_skin(on_handles()) if on_handles and character.rig else None)
+    said = character.corrections is not None and character.corrections.changes_body
+    parts = None if said and on_handles is not None else understood_rig(character)
+    parts = parts or (RigParts.by_skin(on_handles()) if on_handles and character.rig else None)
     if parts is not None or request.rig == "auto":
         return parts
     if character.rig is None:

@@ -9,9 +9,8 @@ from itertools import groupby
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.anatomy.handles.limbs import FAMILIES, limb_handles
+from bunraku.anatomy.corrected import PARTS
 from bunraku.anatomy.legs import BodyPlan
-from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.motion import HandleMotion
 from bunraku.language.parse import INSTEAD, for_body
 from bunraku.language.sentence import Sentence
@@ -21,16 +20,6 @@ LEAST = 0.004
 """Share of the surface above which a part, or apparel, counts as found; chosen by eye."""
 SURE, LIKELY = 0.85, 0.7
 """Mean weight of a part's handles over the part from which on it is called sure, and likely; chosen by eye."""
-_MIDDLE: dict[str, tuple[str, ...]] = {
-    "trunk": ("pelvis", "spine1", "spine2", "spine3"),
-    "head": ("neck", "head", "head_top", "face"),
-    "tail": ("tail", "tail_tip"),
-}
-_PARTS: dict[str, list[int]] = {name: [HANDLE_NAMES.index(part) for part in parts] for name, parts in _MIDDLE.items()}
-for _side in ("left", "right"):
-    _PARTS[f"{_side} arm"] = [HANDLE_NAMES.index(f"{_side}_collar"), *limb_handles(_side, FAMILIES[1])]
-    _PARTS[f"{_side} leg"] = limb_handles(_side, FAMILIES[0])
-    _PARTS[f"{_side} wing"] = [HANDLE_NAMES.index(f"{_side}_wing")]
 
 
 @dataclass(frozen=True)
@@ -82,13 +71,17 @@ def body_facts(anatomy: Anatomy) -> BodyFacts:
     areas = character.areas / max(float(character.areas.sum()), 1e-30)
     main, played = handles.weights.argmax(axis=1), handles.played
     parts = []
-    for name, members in _PARTS.items():
+    for name, members in PARTS.items():
         inside = np.isin(played, members)
         held = inside[main] & (areas > 0)
         area = float(areas[held].sum())
         if area > LEAST:
             clear = float((areas[held] * handles.weights[held][:, inside].sum(axis=1)).sum() / area)
-            shown = name.replace("arm", "foreleg") if plan.front and name.endswith("arm") else name
+            shown = (
+                ("trunk" if name == "body" else name).replace("arm", "foreleg")
+                if plan.front and name.endswith("arm")
+                else name
+            )
             parts.append(PartFact(shown, area, clear))
     parts.sort(key=lambda part: -part.area)
     return BodyFacts(plan, tuple(parts), len(anatomy.further), tuple(_cannot(plan, [part.name for part in parts])))

@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+from bunraku.core.body.corrections import Corrections
 from bunraku.core.request import FPS, GRAVITY, GUIDANCE, SECONDS, STEPS, STIFFNESS, WHOLE, Limit, from_json, read_json
 from bunraku.core.travel import LONGEST
 from bunraku.errors import OptionError
@@ -61,6 +62,27 @@ class _Chain:
 
 
 @dataclass(frozen=True)
+class _Joint:
+    name: str
+    parent: str | None
+    point: _Point
+
+
+@dataclass(frozen=True)
+class _Piece:
+    kind: str
+    at: _Point
+    area: _Share
+
+
+@dataclass(frozen=True)
+class _Body:
+    joints: tuple[_Joint, ...]
+    parts: tuple[_Piece, ...]
+    said: Corrections
+
+
+@dataclass(frozen=True)
 class _CharacterFacts:
     """What is known of a character (`tasks.Open`)."""
 
@@ -80,6 +102,7 @@ class _CharacterFacts:
     skeleton: bool = False
     picture: _Count = 0
     mmd: bool = False
+    body: _Body | None = None
     roles: tuple[_Index, ...] = ()
     positions: tuple[_Point, ...] = ()
     used: tuple[_Index, ...] = ()

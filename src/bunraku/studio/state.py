@@ -93,12 +93,12 @@ class State:
             raise
         return {"job": job["id"], "takes": takes}
 
-    def open(self, name: str, file: str) -> dict[str, Any]:
-        """Queue the opening of a character by its id and its file, relative to its folder. Errors are those of
-        `Jobs.submit`.
+    def open(self, name: str, file: str, again: bool = False) -> dict[str, Any]:
+        """Queue the opening of a character by its id and its file, relative to its folder, `again` where what was
+        guessed still holds. Errors are those of `Jobs.submit`.
         """
         record = self.change("characters", name, file=file, state="opening", error="")
-        params = {"character": name, "file": file, "settings": record["settings"]}
+        params = {"character": name, "file": file, "settings": record["settings"], "again": again}
         job = self.jobs.submit("open", f"open {record['name']}", params, {"character": name, "opens": name})
         return {"character": record, "job": job["id"]}
 

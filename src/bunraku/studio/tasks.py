@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from bunraku.anatomy.corrected import corrected_handles
 from bunraku.core.animation import Animation, RigAnimation
 from bunraku.core.character import Character
 from bunraku.core.request import Progress, from_json
@@ -28,8 +29,16 @@ from bunraku.studio.takes import (
     Transfer,
     Trim,
 )
-from bunraku.studio.wire import Dressed, packed_clip, save_handles
-from bunraku.studio.workspace import PREVIEWS, Settings, Workspace, apparel_facts, character_facts, opened_character
+from bunraku.studio.wire import Dressed, load_handles, packed_clip, save_handles
+from bunraku.studio.workspace import (
+    PREVIEWS,
+    Settings,
+    Workspace,
+    apparel_facts,
+    character_facts,
+    corrected_facts,
+    opened_character,
+)
 
 CHAINED = "chains.glb"
 """The mesh of a character with chains of bones for its apparel, and their springs in the extras."""
@@ -42,6 +51,8 @@ class Open:
     character: str
     file: str
     settings: Settings = field(default_factory=Settings)
+    again: bool = False
+    """Whether what was guessed before still holds, since joints and pieces alone were corrected."""
 
     def __call__(self, workspace: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
         from bunraku.files import save_character
@@ -51,14 +62,21 @@ class Open:
         report("read", 0.1)
         character, taken = opened_character(folder / self.file, self.settings)
         report("handles", 0.3)
-        handles = rig(character, handles=self.settings.handles)
+        if self.settings.handles == "rig":
+            handles = rig(character, handles="rig")
+        else:
+            guessed = folder / "guessed.npz"
+            if not (self.again and guessed.is_file()):
+                save_handles(rig(replace(character, corrections=None)), guessed)
+            handles = corrected_handles(character, load_handles(guessed)).top(4)
         report("write", 0.8)
         save_character(character, folder / "mesh.glb", handles)
         for file_name in ("bones.glb", CHAINED):
             (folder / file_name).unlink(missing_ok=True)
         shutil.rmtree(folder / PREVIEWS, ignore_errors=True)
         save_handles(handles, folder / "handles.npz")
-        return {**taken, **character_facts(character, handles), "clips": _clips_of(character), "chains": []}
+        body = {"body": corrected_facts(character, handles)}
+        return {**taken, **character_facts(character, handles), **body, "clips": _clips_of(character), "chains": []}
 
 
 @dataclass(frozen=True)

@@ -12,11 +12,15 @@ from typing import Any, Literal
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
+from bunraku.anatomy.corrected import joint_facts, piece_facts
 from bunraku.anatomy.handles.orientation import resolve_axes
 from bunraku.anatomy.scene import separated
 from bunraku.core.animation import RigAnimation
+from bunraku.core.body.corrections import Corrections
+from bunraku.core.body.layout import handle_names
 from bunraku.core.character import Character, Handles
 from bunraku.core.files import atomic_write
+from bunraku.core.request import to_json
 from bunraku.errors import BunrakuError, CharacterError, OptionError
 from bunraku.files import in_metres, load_character, resolve_unit, rotated
 from bunraku.pipelines.animator import Body
@@ -138,6 +142,20 @@ def character_facts(character: Character, handles: Handles) -> dict[str, Any]:
         "roles": handles.played.tolist(), "positions": handles.positions.astype(float).round(5).tolist(),
         "used": used.tolist(),
     }  # fmt: skip
+
+
+def corrected_facts(character: Character, handles: Handles) -> dict[str, Any]:
+    """What a page shows of a body so that a person can correct it: `joints` with their positions [m] and parents,
+    `parts`, and what is `said` already, as `core.body.corrections.Corrections` has it.
+    """
+    joints = Anatomy.of(character, handles).joints
+    at, names = joint_facts(handles, joints), handle_names(handles)
+    listed = [
+        {"name": name, "parent": names[joints.parents[names.index(name)]] if name != names[0] else None, "point": point}
+        for name, point in at.items()
+    ]
+    said = to_json(character.corrections or Corrections())
+    return {"joints": listed, "parts": piece_facts(character, handles), "said": said}
 
 
 PREVIEWS = "clips"

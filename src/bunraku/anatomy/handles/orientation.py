@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -214,7 +214,8 @@ class ResolvedAxes:
 def resolve_axes(
     character: Character, up: str = "auto", front: str = "auto", *, suffix: str | None = None
 ) -> ResolvedAxes:
-    """How a character stands, from what is said about it, from its mesh, and from the rule of its format.
+    """How a character stands, from what is said here or else in the file beside its own, from its mesh, and from the
+    rule of its format.
 
     Args:
         character: Any character.
@@ -227,6 +228,9 @@ def resolve_axes(
         WeightsError: The weights are missing or broken, and something is to be guessed.
     """
     given = [None if axis.strip().lower() == "auto" else axis_name(axis) for axis in (up, front)]
+    said = character.corrections
+    if given == [None, None] and said is not None and said.has_axes:
+        return resolve_axes(replace(character, corrections=None), said.up, said.front, suffix=suffix)
     if given[0] is not None and given[1] is not None:
         upright_rotation(given[0], given[1])
         return ResolvedAxes(given[0], given[1])
@@ -245,6 +249,12 @@ def resolved_axes(guess: Orientation, rule: bool = False) -> tuple[str, str]:
     usual = default_orientation()
     stays = rule and guess.confidence < TURN and guess.probability(*usual) >= STANDS
     return usual if stays else (guess.up, guess.front)
+
+
+def as_said(character: Character) -> Character:
+    """The character upright where the file beside its own says how it stands; others as they are."""
+    said = character.corrections
+    return upright(character) if said is not None and said.has_axes else character
 
 
 @checked

@@ -151,6 +151,9 @@ def rotated(character: Character, up: str, front: str) -> Character:
         OptionError: The two are no axes at a right angle.
     """
     rotation = upright_rotation(up, front)
+    said = character.corrections
+    if said is not None and said.has_axes:
+        character = replace(character, corrections=said.standing())
     if np.array_equal(rotation, np.eye(3)):
         return character
     matrix = np.eye(4)

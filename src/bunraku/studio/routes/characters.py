@@ -10,6 +10,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
 
+from bunraku.core.body.corrections import SUFFIX, Corrections, read_corrections, write_corrections
 from bunraku.core.files import atomic_write, writing
 from bunraku.core.request import from_json
 from bunraku.errors import FormatError, OptionError
@@ -116,6 +117,30 @@ def character(request: Request, body: dict[str, Any]) -> Any:
     return JSONResponse(opened, 202)
 
 
+@beside
+def body(request: Request, form: dict[str, Any]) -> Any:
+    """What a person says about a body: PUT takes axes, joints and parts as the file of corrections has them
+    (`core.body.corrections`), DELETE takes all of it back. The character opens again; its record has them as `body`.
+    """
+    state, name = studio_state(request), request.path_params["name"]
+    record = state.store.get("characters", name)
+    file = state.store.folder_of("characters", name) / record["file"]
+    said = from_json(Corrections, form, "the body") if request.method == "PUT" else Corrections()
+    if state.busy("characters", name):
+        raise OptionError("something is being made of this character; wait for it, or cancel it")
+    old = read_corrections(file) or Corrections()
+    if said == Corrections():
+        file.with_name(f"{file.stem}{SUFFIX}").unlink(missing_ok=True)
+    else:
+        write_corrections(file.with_name(f"{file.stem}{SUFFIX}"), said, ("+y", "+z"), {}, [])
+    return JSONResponse(state.open(name, record["file"], again=_apart(said) == _apart(old)), 202)
+
+
+def _apart(said: Corrections) -> tuple[object, ...]:
+    """What of corrections changes the mesh that handles are guessed from."""
+    return said.up, said.front, said.character, [piece for piece in said.part if piece.kind == "ground"]
+
+
 async def mesh(request: Request) -> Response:
     """The mesh with its skin, and no clip; `?skin=bones` for takes that move the file's own bones, `?skin=chains` with
     chains of bones for hair and clothes, whose springs stand in the extras.
@@ -200,6 +225,7 @@ def copy(request: Request, body: dict[str, Any]) -> Any:
 ROUTES = [
     ("/characters", ("GET", "POST"), characters),
     ("/characters/{name}", ("GET", "PATCH", "DELETE"), character),
+    ("/characters/{name}/body", ("PUT", "DELETE"), body),
     ("/characters/{name}/mesh.glb", ("GET",), mesh),
     ("/characters/{name}/picture", ("GET", "PUT"), picture),
     ("/characters/{name}/mask", ("GET", "PUT", "DELETE"), mask),

@@ -31,7 +31,21 @@ CHARACTERS = tuple(READERS["character"])
 MOTIONS = (".bvh", ".vmd", ".vrma", ".npz", ".npy")
 """Suffixes of what is a motion and nothing else."""
 PROJECTS = (".bunraku",)
-_BESIDE = (".png", ".jpg", ".jpeg", ".bmp", ".tga", ".dds", ".webp", ".sph", ".spa", ".bin", ".mtl", *CHARACTERS)
+_BESIDE = (
+    ".png",
+    ".jpg",
+    ".jpeg",
+    ".bmp",
+    ".tga",
+    ".dds",
+    ".webp",
+    ".sph",
+    ".spa",
+    ".bin",
+    ".mtl",
+    ".toml",
+    *CHARACTERS,
+)
 
 
 class TooLarge(BunrakuError):

@@ -26,6 +26,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from bunraku import __version__
+from bunraku.core.body.corrections import Corrections
 from bunraku.errors import BunrakuError
 from bunraku.studio.forms import ChangeForm, CharacterForm, ClipsForm, ExportForm, LiveForm, TakeForm, TakeRecordForm
 from bunraku.studio.jobs import QueueFull
@@ -195,6 +196,7 @@ def document_of(routes: Routes, version: str, reads: Mapping[tuple[str, str], ty
 
 READS: dict[tuple[str, str], type] = {
     ("/characters/{name}", "PATCH"): CharacterForm,
+    ("/characters/{name}/body", "PUT"): Corrections,
     ("/characters/{name}/takes", "POST"): TakeForm,
     ("/characters/{name}/exports", "POST"): ClipsForm,
     ("/characters/{name}/live", "POST"): LiveForm,
