@@ -258,7 +258,7 @@ def _load(path: Path, changed: int) -> Reader:
     state, config = load_checkpoint(path, KIND)
     with fitting_config(path):
         shares = tuple(map(float, config["shares"]))
-        actions, dealings = tuple(config["actions"]), tuple(config["dealings"])  # type: ignore[arg-type]
+        actions, dealings = tuple(config["actions"]), tuple(config.get("dealings", ()))  # type: ignore[arg-type]
         reader = Reader(actions, dequantised(state), shares, config["instead"], dealings)  # type: ignore[arg-type]
         if reader.weights["value.bias"].shape != (len(actions) + len(dealings),) or not reader.layers():
             raise WeightsError(f"{path}: the weights do not fit their actions; train them again")
