@@ -40,8 +40,6 @@ SURE, LIKELIEST = 0.56, 0.38
 """Probability from which an action counts, and the likeliest one where no other does; chosen on held-out phrases and
 composed sentences: what is said is exact for .36 of both, with .5 alone for .34 and .30.
 """
-DEALT = 0.5
-"""Probability from which something is done with a thing: the likelier of the two."""
 _CUES = {
     "direction forward": "forward", "direction backward": "backwards", "direction left": "left go",
     "direction right": "right go", "direction forward-left": "forward, left go",
@@ -93,7 +91,6 @@ class Reader:
 
     Args:
         actions: Their names, in the order of the heads.
-        dealings: What is done with things ("deed touch", "ground deep", "sight far", "take"), whose heads come after.
         weights: Of the changes, "layers.0.query.down" and so on, and of the heads, matrices (in, out).
         shares: What makes a probability, before the logistic function: the factor of what a head says; what is added
             where the lexicon's phrases say the action; what more if it is the network's likeliest, or says that one
@@ -106,7 +103,6 @@ class Reader:
     weights: Mapping[str, np.ndarray]
     shares: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
     instead: Mapping[str, str] = field(default_factory=dict)
-    dealings: tuple[str, ...] = ()
     encoder: MiniLMEncoder = field(default_factory=lambda: _encoder())
 
     def _head(self, name: str, x: np.ndarray) -> np.ndarray:
@@ -141,7 +137,6 @@ class Reader:
         weight = softmax(self._head("query", x).T).T
         return (weight * self._head("value", x)).sum(0), weight, self._head("fields", weight.T @ x)
 
-    @lru_cache(maxsize=256)  # noqa: B019 - the reader lives as long as the program
     def heard(self, text: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """What `run` says of a text of plain words."""
         with one_thread():
@@ -158,14 +153,13 @@ class Reader:
         if not text:
             return []
         logits, weight, fields = self.heard(text)
-        logits = logits[: len(self.actions)]
         factor, by_phrase, by_both, always = self.shares
         rows, likeliest = lexicon().actions, self.actions[int(logits.argmax())]
         said = np.isin(self.actions, phrased)
         agreed = np.isin(self.actions, [action for action in phrased if likeliest in (action, *rows[action].covers)])
         sure = sigmoid(factor * logits + by_phrase * said + by_both * agreed + always)
         at = np.arange(len(weight)) @ weight
-        frames: list[Frame] = []
+        frames = []
         if sure.max() < LIKELIEST:  # actions that mean much the same share what one would have
             sure = sure + said * (np.argsort(np.argsort(-logits)) < 3)
         least = SURE if sure.max() >= SURE else max(sure.max(), LIKELIEST)
@@ -173,18 +167,6 @@ class Reader:
             index = self.actions.index(action)
             shown = action if action in rows else self.instead.get(action, "")
             frames.append(Frame(action, shown, min(float(sure[index]), 1.0), float(at[index]), _fields(fields[index])))
-        return sorted(frames, key=lambda frame: frame.at)
-
-    def dealt(self, sentence: str) -> list[Frame]:
-        """What a sentence says that is done with things, in order."""
-        text = plain_words(sentence)
-        if not text:
-            return []
-        logits, weight, fields = self.heard(text)
-        sure, at, frames = sigmoid(logits), np.arange(len(weight)) @ weight, list[Frame]()
-        for number, name in enumerate(self.dealings, len(self.actions)):
-            if sure[number] > DEALT:
-                frames.append(Frame(name, "", float(sure[number]), float(at[number]), _fields(fields[number])))
         return sorted(frames, key=lambda frame: frame.at)
 
 
@@ -222,8 +204,7 @@ def _pieces(text: str) -> list[tuple[int, str]]:
 def nearest(text: str, count: int = 3) -> tuple[str, ...]:
     """Sentences that each say an action of the lexicon, those that are likeliest in a text first."""
     reader, verbs = load_reader(), lexicon().verbs
-    said = reader.heard(plain_words(text))[0][: len(reader.actions)]
-    likely = [reader.actions[index] for index in np.argsort(-said)]
+    likely = [reader.actions[index] for index in np.argsort(-reader.heard(plain_words(text))[0])]
     names = [action.split() for action in likely if action in lexicon().actions and action.split()[0] in verbs]
     return tuple(" ".join(("a person", verbs[verb][0], *rest)) for verb, *rest in names[:count])
 
@@ -258,8 +239,7 @@ def _load(path: Path, changed: int) -> Reader:
     state, config = load_checkpoint(path, KIND)
     with fitting_config(path):
         shares = tuple(map(float, config["shares"]))
-        actions, dealings = tuple(config["actions"]), tuple(config.get("dealings", ()))  # type: ignore[arg-type]
-        reader = Reader(actions, dequantised(state), shares, config["instead"], dealings)  # type: ignore[arg-type]
-        if reader.weights["value.bias"].shape != (len(actions) + len(dealings),) or not reader.layers():
+        reader = Reader(tuple(config["actions"]), dequantised(state), shares, config["instead"])  # type: ignore[arg-type]
+        if reader.weights["value.bias"].shape != (len(reader.actions),) or not reader.layers():
             raise WeightsError(f"{path}: the weights do not fit their actions; train them again")
     return reader
