@@ -84,13 +84,23 @@ def _colors(surface: Surface, rng: np.random.Generator) -> np.ndarray | None:
 
 
 def _pieces(surface: Surface, rng: np.random.Generator) -> np.ndarray:
-    """Loose parts after some, or all, were welded."""
-    kind, count = rng.random(), int(surface.part.max()) + 1
+    """Loose parts after some, or all, were welded, or the largest was cut: a dress may be sewn or lie in pieces."""
+    kind, part = rng.random(), surface.part
+    count = int(part.max()) + 1
     if kind < 0.15:
-        return np.zeros_like(surface.part)
+        return np.zeros_like(part)
     if kind < 0.3:
-        return np.asarray(rng.integers(max(1, round(count * rng.uniform(0.2, 0.9))), size=count)[surface.part])
-    return surface.part
+        return np.asarray(rng.integers(max(1, round(count * rng.uniform(0.2, 0.9))), size=count)[part])
+    if kind < 0.5:
+        out, sizes = part.copy(), np.bincount(part).astype(float)
+        for number in rng.choice(count, min(count, 3), replace=False, p=(sizes + 1) / (sizes + 1).sum()):
+            rows = np.flatnonzero(part == number)
+            seams = surface.points[rng.choice(rows, min(len(rows), int(rng.integers(2, 9))))]
+            squeezed = rng.choice([0.3, 1.0], 3)  # pieces may be long or flat
+            away = np.square((surface.points[rows][:, None] - seams) * squeezed).sum(axis=2)
+            out[rows] = int(out.max()) + 1 + away.argmin(axis=1)
+        return np.unique(out, return_inverse=True)[1]
+    return part
 
 
 def seen_row(
@@ -223,7 +233,7 @@ def _mean(values: list[float]) -> float:
 
 
 def main() -> None:
-    """Train, or go on: `python -m bunraku_lab.training.parts OUT SHARDS --minutes 60`."""
+    """Train, or go on with the run in the folder: `python -m bunraku_lab.training.parts OUT SHARDS --minutes 60`."""
     import argparse
 
     parser = argparse.ArgumentParser(description="Train the part network on shards of labelled figures.")
@@ -232,12 +242,17 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=60)
     parser.add_argument("--rate", type=float, default=6e-4)
     parser.add_argument("--batch", type=int, default=8)
+    parser.add_argument("--begin", type=Path, help="weights to begin from, in place of random ones")
     asked = parser.parse_args()
     config = PartTrainConfig(
         out=asked.out, shards=asked.shards, minutes=asked.minutes, rate=asked.rate, batch=asked.batch
     )
     config.prepare()
-    PartTrainer(config).learn(lambda row: print({name: round(value, 4) for name, value in row.items()}, flush=True))
+    trainer = PartTrainer(config)
+    if not trainer.resume() and asked.begin:
+        for network in (trainer.model, trainer.average):
+            network.load_state_dict(PartNetwork.load(asked.begin).state_dict())
+    trainer.learn(lambda row: print({name: round(value, 4) for name, value in row.items()}, flush=True))
 
 
 if __name__ == "__main__":

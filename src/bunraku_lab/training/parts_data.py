@@ -88,6 +88,8 @@ _UNCLEAR = (  # clothes, hats or weapons that no name tells apart
 )
 _SIMULATED = [list(SOURCES).index(name) for name in ("wardrobe", "closet", "draped")]
 _RARE = ("cape", "sleeve")
+SHORT = 0.25
+"""Of the height of head and neck: hair that reaches no farther below them is short; chosen by eye."""
 _ARRAYS = ("gather", "beside", "gather_up", "down", "fine")
 
 
@@ -212,18 +214,25 @@ def _row(figure: Labelled, seen: PartPoints, kind: int) -> dict[str, np.ndarray]
     return out | {name: getattr(seen, name).astype(np.uint16) for name in _ARRAYS}
 
 
-def _forget_stiff(points: np.ndarray, part: np.ndarray, hangs: np.ndarray, carrier: np.ndarray) -> None:
-    """Take back that long hair or a skirt does not hang where its wearer was made stiff: its shape does not say so.
+def _forget(row: dict[str, np.ndarray], simulated: bool) -> None:
+    """Take back what the shape of a figure does not say of what hangs: that long hair or a skirt was made stiff, and
+    that a lock which ends on the head was made to swing.
 
     Args:
-        points, part, hangs, carrier: Of a row; `hangs` is changed.
+        row: Of a shard; its `hangs` is changed.
+        simulated: Whether it was drawn by lot which of its parts swing.
     """
-    face = points[(part == PARTS.index("body")) & (carrier == CARRIERS.index("head")), 1]
-    low = float(face.min()) + 0.3 * float(np.ptp(face)) if len(face) else -np.inf
-    for name in ("hair", "skirt", "cape", "sleeve", "tail"):
-        rows = part == PARTS.index(name)
-        if name == "hair":
-            rows &= points[:, 1] < low
+    points, part, hangs = row["points"], row["part"], row["hangs"]
+    long = hair = part == PARTS.index("hair")
+    face = points[(part == PARTS.index("body")) & (row["carrier"] == CARRIERS.index("head")), 1]
+    if hair.any() and len(face):
+        low = np.full(int(row["piece"].max()) + 1, np.inf)
+        np.minimum.at(low, row["piece"][hair], points[hair, 1])
+        long = hair & (low[row["piece"]] < float(face.min()) - SHORT * float(np.ptp(face)))
+        hangs[hair & ~long & (hangs == 1)] = figures.UNKNOWN
+    if not simulated:
+        return
+    for rows in (long, *(part == PARTS.index(name) for name in ("skirt", "cape", "sleeve", "tail"))):
         if rows.any() and (hangs[rows] == 1).mean() < 0.5:
             hangs[rows & (hangs == 0)] = figures.UNKNOWN
 
@@ -246,8 +255,8 @@ class PartData:
                 with np.load(path, allow_pickle=False) as file:
                     self.shards.append({name: file[name] for name in file.files})
                 for row in range(len(self.shards[-1]["kind"])):
-                    if self.shards[-1]["kind"][row] in _SIMULATED:
-                        _forget_stiff(*(self.shards[-1][name][row] for name in ("points", "part", "hangs", "carrier")))
+                    simulated = int(self.shards[-1]["kind"][row]) in _SIMULATED
+                    _forget({name: values[row] for name, values in self.shards[-1].items()}, simulated)
                 self.read.add(path.name)
                 self.rows += [(len(self.shards) - 1, row) for row in range(len(self.shards[-1]["kind"]))]
                 rare = [(self.shards[-1]["part"] == PARTS.index(name)).mean(axis=1) > 0.01 for name in _RARE]
