@@ -3,9 +3,8 @@
     python benchmarks/part_labels.py files FILES           intersection over union by area, on MMD and VRM files
     python benchmarks/part_labels.py nothing ARCHIVE       area marked on the files of apparel_nothing.txt
 
-The first number of each file is the network alone, without joints or handles: what hangs. Then what ships: its network
-vertex by vertex, and with the rules on whole parts (`apparel/hanging.py`), by handles that are predicted for the bare
-mesh, and by the joints of the file's rig. The list of files is `part_files.md`.
+The first number of each file is the network alone, vertex by vertex: what hangs. The second is what swings: whole parts
+of kinds that hang (`apparel.parts`). The list of files is `part_files.md`.
 """
 
 from __future__ import annotations
@@ -17,9 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from bunraku.apparel.mask import apparel_mask
+from bunraku.apparel.part_network import PARTS
+from bunraku.apparel.parts import FoundParts, find_parts, parts_of
 from bunraku.core.character import Character
 from bunraku.files import load_character
-from bunraku_lab.nn.part_inference import PARTS, FoundParts, find_parts
 
 LIST = Path(__file__).with_name("apparel_nothing.txt")
 
@@ -37,11 +37,6 @@ def shares(label: np.ndarray, areas: np.ndarray) -> str:
 
 def files(paths: list[Path], checkpoint: Path | None) -> None:
     """Print a row for each file."""
-    from bunraku.apparel.body import UnifiedBody
-    from bunraku.apparel.learned.segmentation import find_apparel
-    from bunraku.pipelines.animate import rig
-    from bunraku.pipelines.clothes import body_of_handles, separate_apparel
-
     rows = []
     for path in paths:
         character = load_character(path)
@@ -49,12 +44,8 @@ def files(paths: list[Path], checkpoint: Path | None) -> None:
         if true is None or not true.any():
             print(f"{path.name}: no physics")
             continue
-        bare, file_body = replace(character, rig=None, avatar=None), UnifiedBody.of(character)
-        found = parts_of(character, checkpoint)
-        masks = [found.mask]
-        for weights, joints in (body_of_handles(bare, rig(bare)), (file_body.weights, file_body.joints)):
-            masks.append(find_apparel(bare.vertices, bare.faces, joints).mask)
-            masks.append(separate_apparel(bare, joints, weights, None).apparel)
+        found = parts_of_network(character, checkpoint)
+        masks = [found.mask, parts_of(replace(character, rig=None, avatar=None, source=None)).hangs]
         rows.append([agreement(mask, true, character.areas) for mask in masks])
         print(
             f"{path.name:28s}",
@@ -66,11 +57,11 @@ def files(paths: list[Path], checkpoint: Path | None) -> None:
     print(
         f"{'mean':28s}",
         " ".join(f"{value:.3f}" for value in np.mean(rows, axis=0)),
-        "(part network; by predicted handles: shipped alone, with rules; by the file's joints: alone, with rules)",
+        "(part network; what swings)",
     )
 
 
-def parts_of(character: Character, checkpoint: Path | None) -> FoundParts:
+def parts_of_network(character: Character, checkpoint: Path | None) -> FoundParts:
     """What the part network says of a character with the colours that it has."""
     colors = None if character.colors is None else character.colors / 255
     return find_parts(character.vertices, character.faces, colors, checkpoint)
@@ -81,7 +72,7 @@ def nothing(archive: Path, checkpoint: Path | None) -> None:
     marked = []
     for line in LIST.read_text().split():
         character = load_character(archive / line)
-        found, areas = parts_of(character, checkpoint), character.areas
+        found, areas = parts_of_network(character, checkpoint), character.areas
         marked.append(float(areas[found.mask].sum() / areas.sum()))
         print(f"{line:40s} hangs {100 * marked[-1]:.1f} %;", shares(found.label, areas), flush=True)
     print(f"mean {100 * np.mean(marked):.2f} %, worst {100 * max(marked):.1f} %")

@@ -252,7 +252,7 @@ def test_a_tail_hangs_from_the_head_and_not_from_the_hip_that_it_touches() -> No
     clothed = ClothedCharacter(
         np.concatenate([body.vertices, hair]).astype(np.float32), np.concatenate([body.faces, faces]),
         np.asarray(body.joints), np.concatenate([body.joint_weights, held]).astype(np.float32), apparel, part,
-        np.full(2, -1, np.float32), np.full(2, 0.9, np.float32),
+        np.full(2, -1, np.float32), np.full(2, 0.9, np.float32), kinds=("hair", "hair"),
     )  # fmt: skip
     (piece,) = pieces_of(clothed)[0]
     order = np.argsort(-piece.points[:, 1])
@@ -309,7 +309,9 @@ def test_a_skirt_is_tied_all_round() -> None:
     joints[:, 1] = 0.95
     one = np.zeros(1, np.float32)
     found = shape_chains(
-        ClothedCharacter(vertices, np.concatenate(faces), joints, weights, cloth, np.where(cloth, 0, -1), one, one)
+        ClothedCharacter(
+            vertices, np.concatenate(faces), joints, weights, cloth, np.where(cloth, 0, -1), one, one, kinds=("skirt",)
+        )
     )
     assert {chain.kind for chain in found.chains} == {"skirt"} and len(found.chains) >= 6
     assert (np.bincount(np.array(found.ties).ravel()) == 2).all()

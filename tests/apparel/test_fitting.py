@@ -6,7 +6,7 @@ import trimesh
 
 from bunraku.apparel.body import BAND, CELL, OUTSIDE, Unposed, body_depth
 from bunraku.apparel.clothed import ClothedCharacter
-from bunraku.apparel.fitting import fitted_clothes, without_worn
+from bunraku.apparel.fitting import fitted_clothes
 from bunraku.apparel.layers import Layers
 from bunraku.apparel.nodes import whole_pieces
 from bunraku.core.body.layout import JOINT_COUNT, JOINT_NAMES
@@ -33,9 +33,8 @@ def worn(joint, *radii):
     faces = np.concatenate([own + number * count for number, (_, own) in enumerate(tubes)])
     weights = np.zeros((len(vertices), 22), np.float32)
     weights[:, JOINT_NAMES.index(joint)] = 1
-    blank = np.zeros(len(vertices), np.float32)
     joints = np.array(reference_body().joints[:22], np.float32)
-    return fitted_clothes(vertices, faces, joints, weights, np.arange(len(vertices)) >= count, blank, blank)
+    return fitted_clothes(vertices, faces, joints, weights, np.arange(len(vertices)) >= count)
 
 
 @pytest.mark.parametrize(
@@ -87,24 +86,10 @@ def test_a_tip_hangs_on_what_its_surface_goes_on_as():
     weights[: len(lock), JOINT_NAMES.index("head")] = 1
     weights[len(lock) :, JOINT_NAMES.index("left_elbow")] = 1
     apparel = (np.arange(len(vertices)) < len(lock)) & (vertices[:, 1] < 1.15)
-    blank = np.zeros(len(vertices), np.float32)
     joints = np.array(reference_body().joints[:22], np.float32)
-    clothed = fitted_clothes(vertices, faces, joints, weights, apparel, blank, blank)
+    clothed = fitted_clothes(vertices, faces, joints, weights, apparel)
     assert clothed.apparel.any()
     assert (clothed.weights[clothed.apparel].argmax(axis=1) == JOINT_NAMES.index("head")).all()
-
-
-def test_what_goes_round_an_arm_is_worn_by_it():
-    """Of a shirt with sleeves the sleeves stay with the arms; a sheet on one side of an arm is no sleeve."""
-    body = reference_body()
-    points, faces, weights = body.vertices, body.faces, np.asarray(body.joint_weights)
-    arm = weights[:, [JOINT_NAMES.index(f"left_{part}") for part in ("shoulder", "elbow", "wrist")]].sum(axis=1) > 0.5
-    legs = points[:, 1] < body.joints[0, 1]
-    shirt = ~legs
-    found = without_worn(points, faces, body.joints, weights, shirt)
-    assert not found[arm].any() and found[shirt & (np.abs(points[:, 0]) < 0.08)].all() and not found[legs].any()
-    behind = shirt & (points[:, 2] < body.joints[JOINT_NAMES.index("left_elbow"), 2])
-    assert without_worn(points, faces, body.joints, weights, behind)[arm & behind].any()
 
 
 AROUND, HEIGHTS = 32, np.linspace(0.3, 0.85, 24)

@@ -10,7 +10,7 @@ import torch
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.apparel.fitting import BORDER, eased_border, fitted_clothes, joints_of_handles
 from bunraku.apparel.learned.network import DisplacementConfig
-from bunraku.apparel.learned.segmentation import SegmentationConfig
+from bunraku.apparel.part_network import PartConfig
 from bunraku.cli.options import ApparelOptions
 from bunraku.core.animation import Animation, PointAnimation
 from bunraku.core.body.reference import reference_body
@@ -23,7 +23,8 @@ from bunraku.pipelines.apparel import dressed, learned
 from bunraku.pipelines.clothes import MOST, body_of_handles, excess_apparel_note, may_have_apparel, separate_apparel
 from bunraku.pipelines.requests import Apparel, Constraints, Loop, Request
 from bunraku.pipelines.transfer import transfer
-from bunraku_lab.nn.apparel import DisplacementNetwork, SegmentationNetwork
+from bunraku_lab.nn.apparel import DisplacementNetwork
+from bunraku_lab.nn.parts import PartNetwork
 from bunraku_lab.synthetic.stock_motions import stock_motion
 
 MOTION = stock_motion("walk", 1.0, 20.0)
@@ -35,7 +36,7 @@ def weights(tmp_path, monkeypatch):
     torch.manual_seed(0)
     for name in ("apparel", "apparel-guessed"):
         DisplacementNetwork(DisplacementConfig(8, 1, 0)).save(tmp_path / f"{name}.safetensors")
-    SegmentationNetwork(SegmentationConfig(8, 1)).save(tmp_path / "apparel-mask.safetensors")
+    PartNetwork(PartConfig(8, 16, 16, 1, 2, 1, 1)).save(tmp_path / "parts.safetensors")
     monkeypatch.setenv("BUNRAKU_WEIGHTS", str(tmp_path))
     return tmp_path
 
@@ -121,20 +122,17 @@ def test_parts_hang_on_what_they_touch(animation):
     mask = apron_of(animation)
     character: Character = animation.character
     weights = np.concatenate([body.joint_weights, np.eye(22, dtype=np.float32)[np.full(30, 1)]])
-    flat = np.zeros(len(mask), np.float32)
-    clothed = fitted_clothes(character.vertices, character.faces, body.joints, weights, mask, flat - 1, flat + 0.9)
+    clothed = fitted_clothes(character.vertices, character.faces, body.joints, weights, mask)
     assert clothed.part.max() == 0 and (clothed.weights[mask].argmax(axis=1) == 0).all()
-    assert clothed.stiffness.tolist() == [-1] and clothed.damping[0] == pytest.approx(0.9)
     np.testing.assert_array_equal(clothed.weights[~mask], weights[~mask])
 
 
 def test_a_sheet_is_not_torn_where_its_mask_has_an_edge(animation):
     body, character = reference_body(), animation.character
     weights = np.concatenate([body.joint_weights, np.eye(22, dtype=np.float32)[np.full(30, 1)]])
-    flat = np.zeros(len(weights), np.float32)
 
     def eased(mask):
-        clothed = fitted_clothes(character.vertices, character.faces, body.joints, weights, mask, flat - 1, flat + 0.9)
+        clothed = fitted_clothes(character.vertices, character.faces, body.joints, weights, mask)
         return clothed, eased_border(clothed)
 
     apron = apron_of(animation)

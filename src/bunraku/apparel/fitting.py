@@ -7,27 +7,24 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from bunraku.apparel.clothed import ClothedCharacter
+from bunraku.apparel.clothed import NORMAL_DAMPING, NORMAL_STIFFNESS, SOFTEST, STIFFEST, ClothedCharacter
 from bunraku.apparel.nodes import apparel_parts, held_vertices, whole_pieces
+from bunraku.apparel.part_network import CARRIERS, PARTS
+from bunraku.apparel.parts import HANGING, Parts, carried_by
 from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_PARENTS, JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS, sided
 from bunraku.core.character import Character, Handles, Rig
-from bunraku.core.geometry.axes import directions_about, goes_round
 from bunraku.core.geometry.curves import smooth_step
 from bunraku.core.geometry.graph import clean_mesh, unique_edges
 
 # Shares of a part, and lengths over the size [m]. All were chosen by eye.
-BESIDE = 0.1  # what arms hold so little of hangs on no arm, however near one is
-WORN = 0.9  # a part of which a limb holds so much is carried by it
-MOSTLY = 0.5  # share that must lie so near another layer, or that a limb holds
+MOSTLY = 0.5  # share that must lie so near another layer
 LAYER = 0.04  # distance of two layers of a skirt at the most
 BORDER = 0.04  # distance from the body of the same sheet up to which apparel goes with it in part
 SPECK = 0.045  # of the height: what is no longer than this stays with the body
 _SMALL = 0.002  # of the apparel's vertices: parts with fewer stay with the body
 _NEAR = 12
 _HIPS, _COLLARS = sided("hip"), sided("collar")
-_ARMS = list(sided("shoulder", "elbow", "wrist"))
-_ARM, _LEG = np.reshape(_ARMS, (2, 3)), np.reshape(sided("hip", "knee", "ankle"), (2, 3))
-_LIMBS = [limb.tolist() for limb in (_ARM[0], _LEG[0], _ARM[1], _LEG[1])]
+_HEAD = tuple(JOINT_NAMES.index(name) for name in ("head", "neck"))
 
 
 def joint_weights_of_handles(handles: Handles) -> np.ndarray:
@@ -55,10 +52,16 @@ def joints_of_handles(
 
 def fitted_clothes(
     vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, weights: np.ndarray, apparel: np.ndarray,
-    stiffness: np.ndarray, damping: np.ndarray,
+    parts: Parts | None = None, dial: float = 1.0,
 ) -> ClothedCharacter:  # fmt: skip
-    """A clothed character whose apparel goes as a whole with the joint that its parts hang on, whatever its skin says,
-    by the weights of the body (V, 22), the mask, and the stiffness and damping of each vertex, shape (V,).
+    """A clothed character whose apparel goes as a whole with the joint that its parts hang on, whatever its skin says.
+
+    Args:
+        vertices, faces, joints: As of `ClothedCharacter`.
+        weights: Of the body, shape (V, 22).
+        apparel: The mask, shape (V,), bool.
+        parts: What the vertices are of, and what carries them; None where that is not known.
+        dial: Factor on how stiff apparel is.
     """
     apparel = _without_specks(vertices, faces, apparel, SPECK * float(np.ptp(vertices[:, 1])))
     part = apparel_parts(vertices, faces, apparel)
@@ -70,6 +73,7 @@ def fitted_clothes(
     body = np.flatnonzero(~apparel)
     tree = cKDTree(vertices[body]) if len(body) else None
     inner, outer = _joined(bare)
+    carriers = np.full(len(vertices), -1) if parts is None else parts.carrier
     for number in range(count):
         rows = np.flatnonzero(part == number)
         roots = held[part[held] == number]
@@ -81,35 +85,29 @@ def fitted_clothes(
         else:
             near = body[tree.query(vertices[roots], min(_NEAR, len(body)))[1].reshape(-1)]
             share = weights[near].mean(axis=0)
-            if weights[rows][:, _ARMS].sum(axis=1).mean() < BESIDE:  # a knot at the hip lies beside a hand
-                share[_ARMS] = 0
-        out[rows] = np.eye(JOINT_COUNT, dtype=np.float32)[_carrying(share)]
+        said = carriers[rows[carriers[rows] >= 0]]
+        carrier = int(np.bincount(said).argmax()) if len(said) else -1
+        out[rows] = np.eye(JOINT_COUNT, dtype=np.float32)[_carrying(share, carrier)]
     part = _layers_as_one(bare, out)
     count = int(part.max(initial=-1)) + 1
     if not count:
         return bare
-    sizes = np.maximum(np.bincount(part[apparel]), 1)
-    means = (np.bincount(part[apparel], values[apparel], count) / sizes for values in (stiffness, damping))
-    return ClothedCharacter(vertices, faces, joints, out, apparel, part, *(mean.astype(np.float32) for mean in means))
+    flat = np.ones(count, np.float32)
+    stiffness = np.clip(NORMAL_STIFFNESS + np.log10(dial), SOFTEST, STIFFEST) * flat
+    clothed = ClothedCharacter(vertices, faces, joints, out, apparel, part, stiffness, NORMAL_DAMPING * flat)
+    return clothed if parts is None else replace(clothed, kinds=kinds_of(clothed, parts.label))
 
 
-def without_worn(
-    vertices: np.ndarray, faces: np.ndarray, joints: np.ndarray, weights: np.ndarray, apparel: np.ndarray
-) -> np.ndarray:
-    """A mask (V,) without what limbs wear. What a limb holds and goes round it, on a part that goes on beyond it, is a
-    sleeve or a leg of trousers: on the joint that carries the rest it would stay behind.
-    """
-    out = np.array(apparel)
-    part = apparel_parts(vertices, faces, apparel)
-    for limb in _LIMBS:
-        held = weights[:, limb].sum(axis=1)
-        angle = directions_about(vertices, joints[limb[0]], joints[limb[-1]])
-        for number in np.unique(part[apparel & (held > MOSTLY)]):
-            rows = np.flatnonzero(part == number)
-            mine = rows[held[rows] > MOSTLY]
-            if goes_round(angle[mine]) and held[rows].mean() < WORN:
-                out[mine] = False
-    return out
+def kinds_of(clothed: ClothedCharacter, labels: np.ndarray) -> tuple[str, ...]:
+    """Kind of each part of a character's apparel (`chains.chain.KINDS`) by labels of its vertices, shape (V,)."""
+    kinds = []
+    for number in range(len(clothed.stiffness)):
+        rows = np.flatnonzero(clothed.part == number)
+        counts = np.bincount(labels[rows], minlength=len(PARTS))[list(HANGING)]
+        kind = PARTS[HANGING[int(counts.argmax())]] if counts.any() else "ribbon"
+        on_head = len(rows) and clothed.weights[rows[0]].argmax() in _HEAD
+        kinds.append("ear" if kind == "tail" and on_head else kind)
+    return tuple(kinds)
 
 
 def _joined(clothed: ClothedCharacter) -> tuple[np.ndarray, np.ndarray]:
@@ -163,9 +161,11 @@ def eased_border(clothed: ClothedCharacter) -> np.ndarray:
     return out
 
 
-def _carrying(share: np.ndarray) -> int:
-    """The carrier of a part by the joints' shares: the pelvis for both legs, the chest for both collars."""
-    joint = int(share.argmax())
+def _carrying(share: np.ndarray, carrier: int) -> int:
+    """The joint that carries a part by the joints' shares, of those of its carrier where that is known: the pelvis for
+    both legs, the chest for both collars.
+    """
+    joint = int(share.argmax()) if carrier < 0 else carried_by(CARRIERS[carrier], share)
     for pair, above in ((_HIPS, 0), (_COLLARS, JOINT_NAMES.index("spine3"))):
         if joint in pair and share[list(pair)].min() > 0.25 * share[list(pair)].max():
             return above

@@ -308,7 +308,9 @@ class Animator:
 
             best = replace(rig_handles(character), features=self.predictor.feature(character))
         else:
-            best = corrected_handles(character, self.predictor(character))
+            from bunraku.apparel.parts import handles_of_body
+
+            best = corrected_handles(character, handles_of_body(character, self.predictor))
         best = best.top(4)
         self.progress("handles", 1.0)
         return best

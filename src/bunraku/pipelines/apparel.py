@@ -127,7 +127,7 @@ def learned(
 
     Args:
         animation: Of handles or of bones.
-        mask: Vertices that are apparel, shape (V,), bool; the file's, or else what the segmentation network finds.
+        mask: Vertices that are apparel, shape (V,), bool; the file's, or else what the part network finds.
         stiffness: Factor on how stiff apparel is.
         network: The shipped one by default.
         safe: Whether the safety stage runs.
@@ -235,7 +235,7 @@ def animated_clothed(
 
     Args:
         animation: Of handles or of bones.
-        mask: Vertices that are apparel; the file's, or else what the segmentation network finds.
+        mask: Vertices that are apparel; the file's, or else what the part network finds.
         stiffness: Factor on how stiff apparel is.
     """
     character = animation.character

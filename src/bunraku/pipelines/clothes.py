@@ -10,24 +10,21 @@ from bunraku.anatomy.anatomy import Anatomy
 from bunraku.apparel.chains.chain import parameters_beside, with_parameters
 from bunraku.apparel.chains.chain_rig import Chained, LaidChains, handle_rig, with_chains
 from bunraku.apparel.chains.from_shape import shape_chains
-from bunraku.apparel.clothed import SOFTEST, STIFFEST, ClothedCharacter
+from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.apparel.fitting import (
     carried,
     fitted_clothes,
     fitted_rig,
     joint_weights_of_handles,
     joints_of_handles,
-    without_worn,
 )
-from bunraku.apparel.hanging import hanging_mask
-from bunraku.apparel.learned.segmentation import find_apparel
 from bunraku.apparel.mask import apparel_mask, artist_mask
-from bunraku.core.body.layout import HANDLE_COUNT, JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS, engine_names
+from bunraku.apparel.parts import parts_of
+from bunraku.core.body.layout import HANDLE_COUNT, JOINT_COUNT, JOINT_PARENTS, engine_names
 from bunraku.core.character import Character, Handles
 from bunraku.errors import CharacterError
 from bunraku.retarget.engine_skeleton import on_skeleton, t_pose
 
-_HEAD = JOINT_NAMES.index("head")
 MOST = 0.75
 """Share of the surface above which an apparel mask is doubted; chosen by eye."""
 ONE, STIFF = 0.99, 0.8
@@ -55,24 +52,13 @@ def separate_apparel(
         character: The mesh.
         joints: Positions of the 22 joints [m], shape (22, 3).
         weights: Of the vertices for them, shape (V, 22).
-        mask: Vertices that are apparel; what the segmentation network finds when None.
+        mask: Vertices that are apparel; what the part network finds when None.
         stiffness: Factor on how stiff they are.
     """
-    found = find_apparel(character.vertices, character.faces, joints)
-    hair = np.zeros(len(character.vertices), bool)
-    if mask is None:
-        mask = without_worn(character.vertices, character.faces, joints, weights, found.mask)
-        mask, hair = hanging_mask(
-            character.vertices, character.faces, joints, weights, character.areas, found.likely, mask
-        )
-    dial = np.float32(np.log10(stiffness))
-    clothed = fitted_clothes(
-        character.vertices, character.faces, joints, weights,
-        mask,
-        np.clip(found.stiffness + dial, SOFTEST, STIFFEST), found.damping,
-    )  # fmt: skip
-    locks = (hair & clothed.apparel)[:, None]
-    return replace(clothed, weights=np.where(locks, np.eye(JOINT_COUNT, dtype=np.float32)[_HEAD], clothed.weights))
+    parts = parts_of(character)
+    return fitted_clothes(
+        character.vertices, character.faces, joints, weights, parts.hangs if mask is None else mask, parts, stiffness
+    )
 
 
 def excess_apparel_note(character: Character, apparel: np.ndarray) -> str:
@@ -92,7 +78,7 @@ def excess_apparel_note(character: Character, apparel: np.ndarray) -> str:
 
 
 def may_have_apparel(anatomy: Anatomy) -> bool:
-    """Whether what the segmentation network finds on a body counts. It was trained on people: it takes the legs of a
+    """Whether what the part network finds on a body counts. It was trained on people: it takes the legs of a
     horse for sleeves and the plates of a machine for skirts. A person's long hair may have been taken for wings.
     """
     areas = anatomy.character.areas
@@ -128,7 +114,7 @@ def rig_with_chains(
     Args:
         anatomy: Of the character by its 30 handles.
         skeleton: Whose names the bones get, as of `on_skeleton`; None for the handles.
-        mask: Vertices that are apparel; what the file says, or else what the segmentation network finds, when None.
+        mask: Vertices that are apparel; what the file says, or else what the part network finds, when None.
         stiffness, gravity: Factors.
         clothed: What `clothed_of` says of it, where that is known.
 
@@ -156,7 +142,7 @@ def clothed_of(anatomy: Anatomy, mask: np.ndarray | None = None) -> ClothedChara
 
     Args:
         anatomy: Of the character by its 30 handles.
-        mask: Vertices that are apparel; what the file says, or else what the segmentation network finds, when None.
+        mask: Vertices that are apparel; what the file says, or else what the part network finds, when None.
 
     Raises:
         CharacterError: It is no person, or so much was taken for apparel that it is hardly true.

@@ -208,24 +208,15 @@ def redress_take(
     return apply_motion(motion, anatomy, Constraints.of(in_place=in_place), stages, report)
 
 
-def apparel_mask_of(character: Character, handles: Handles) -> np.ndarray | None:
-    """Which vertices of a character are apparel, by its file or else by a network; shape (V,), bool; None where neither
-    says it.
-    """
-    from bunraku.apparel.fitting import joint_weights_of_handles, joints_of_handles
-    from bunraku.apparel.learned.segmentation import find_apparel
+def apparel_mask_of(character: Character) -> np.ndarray:
+    """Which vertices of a character are apparel, by its file or else by a network, shape (V,), bool."""
     from bunraku.apparel.mask import apparel_mask, artist_mask
-    from bunraku.core.body.layout import HANDLE_COUNT
+    from bunraku.apparel.parts import parts_of
 
     mask = artist_mask(character)
     if mask is None:
         mask = apparel_mask(character)
-    if mask is None and len(handles.positions) == HANDLE_COUNT:
-        joints = joints_of_handles(
-            character.vertices, joint_weights_of_handles(handles), character.areas, handles.positions
-        )
-        mask = find_apparel(character.vertices, character.faces, joints).mask
-    return mask
+    return parts_of(character).hangs if mask is None else mask
 
 
 def has_apparel(mask: np.ndarray | None) -> bool:

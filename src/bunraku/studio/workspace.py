@@ -106,7 +106,7 @@ def apparel_facts(character: Character, anatomy: Anatomy, worn: Path, painted: b
     from bunraku.studio.dressing import apparel_mask_of, has_apparel, save_worn
 
     try:
-        mask = apparel_mask_of(character, anatomy.handles)
+        mask = apparel_mask_of(character)
     except Exception:  # a character opens even where its clothes cannot be found
         _log.exception("apparel could not be looked for")
         mask = None

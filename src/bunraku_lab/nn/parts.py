@@ -15,9 +15,20 @@ import torch
 from torch import nn
 from torch.nn import functional as F
 
+from bunraku.apparel.part_network import (
+    BESIDE,
+    CARRIERS,
+    CENTRES,
+    FEATURES,
+    GATHERED,
+    PARTS,
+    POINTS,
+    SCALES,
+    TOKENS,
+    WAVES,
+    PartConfig,
+)
 from bunraku_lab.nn.checkpoints import SavedNetwork
-from bunraku_lab.nn.part_inference import CARRIERS, PARTS, SCALES, WAVES, PartConfig
-from bunraku_lab.nn.part_points import BESIDE, CENTRES, FEATURES, GATHERED, POINTS, TOKENS
 
 
 class PointBatch:
@@ -57,7 +68,7 @@ class PointBatch:
 
 
 def waves(points: torch.Tensor) -> torch.Tensor:
-    """Positions as the tokens know them (`bunraku_lab.nn.part_inference.waves`), shape (M, 3) -> (M, WAVES)."""
+    """Positions as the tokens know them (`bunraku.apparel.part_network.waves`), shape (M, 3) -> (M, WAVES)."""
     turns = torch.cat([3.0 * points, 6.0 * points, 12.0 * points], 1)
     return torch.cat([2 * points, torch.sin(turns), torch.cos(turns)], 1)
 

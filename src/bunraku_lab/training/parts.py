@@ -10,9 +10,8 @@ import numpy as np
 import torch
 from torch.nn import functional as F
 
+from bunraku.apparel.part_network import CARRIERS, PARTS, POINTS, PartConfig, Surface, point_features
 from bunraku.errors import OptionError
-from bunraku_lab.nn.part_inference import CARRIERS, PARTS, PartConfig
-from bunraku_lab.nn.part_points import POINTS, Surface, point_features
 from bunraku_lab.nn.parts import PartNetwork, point_batch
 from bunraku_lab.training.parts_data import SOURCES, PartData
 from bunraku_lab.training.runs.run import AveragedRun, StepSettings, logged_columns

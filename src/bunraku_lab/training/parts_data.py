@@ -9,6 +9,7 @@ from zlib import crc32
 
 import numpy as np
 
+from bunraku.apparel.part_network import CARRIERS, PARTS, PartPoints, loose_parts, part_points
 from bunraku.core.files import atomic_write
 from bunraku.errors import BunrakuError
 from bunraku_lab.datasets.labelled import figures
@@ -17,8 +18,6 @@ from bunraku_lab.datasets.labelled.figures import Labelled
 from bunraku_lab.datasets.labelled.locks import with_locks
 from bunraku_lab.datasets.labelled.things import fused, with_things
 from bunraku_lab.datasets.labelled.worn import with_accessories
-from bunraku_lab.nn.part_inference import CARRIERS, PARTS
-from bunraku_lab.nn.part_points import PartPoints, loose_parts, part_points
 
 SOURCES = {
     "wardrobe": 0.12,

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from bunraku.apparel.part_network import CARRIERS, PARTS, PartConfig
 from bunraku_lab.datasets.labelled.figures import code_made, draped
 from bunraku_lab.datasets.labelled.locks import with_locks
 from bunraku_lab.datasets.labelled.things import fused, with_things
 from bunraku_lab.datasets.labelled.worn import with_accessories
-from bunraku_lab.nn.part_inference import CARRIERS, PARTS, PartConfig
 from bunraku_lab.training.parts import PartTrainConfig, PartTrainer, seen_row
 from bunraku_lab.training.parts_data import PartData, build_shard
 

@@ -5,10 +5,22 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from bunraku.apparel.part_network import (
+    CARRIERS,
+    CENTRES,
+    FEATURES,
+    PARTS,
+    POINTS,
+    TOKENS,
+    PartConfig,
+    load_parts,
+    loose_parts,
+    part_points,
+    point_features,
+)
+from bunraku.apparel.parts import find_parts
 from bunraku.errors import CharacterError, WeightsError
 from bunraku.files.samples import sample_character
-from bunraku_lab.nn.part_inference import CARRIERS, PARTS, PartConfig, find_parts, load_parts
-from bunraku_lab.nn.part_points import CENTRES, FEATURES, POINTS, TOKENS, loose_parts, part_points, point_features
 
 SMALL = PartConfig(fine=8, middle=16, coarse=20, layers=2, heads=2, before=1, after=1)
 

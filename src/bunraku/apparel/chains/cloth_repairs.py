@@ -122,7 +122,7 @@ class MendTears:
         frames: Frames that are looked at; chosen.
         longest, shortest: An edge that is longer or shorter, over its length at rest, is stretched or folded; chosen.
         most: Share of a part's edges, over all frames, that may be stretched or folded more often than the body alone
-            does it. What the segmentation network finds on people of the wardrobe has 0.003 at the most; what looked
+            does it. What the part network finds on people of the wardrobe has 0.003 at the most; what looked
             torn on generated meshes had 0.05 to 0.28.
         spare: Edges shorter than this share of the median are not looked at; chosen.
         often: Share of the frames from which on a torn edge makes a torn area; chosen.

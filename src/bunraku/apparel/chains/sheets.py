@@ -1,6 +1,7 @@
-"""Connected pieces of apparel: how far along the surface each point is from where it is held, and the kind of apparel.
+"""Connected pieces of apparel, and how far along the surface each point is from where it is held.
 
-All hair is one piece, held by the skull; a cape and a skirt are held along the whole of their upper edge.
+All hair is one piece. A piece is held where the body holds it along its border: where it is one surface with the body,
+or nearest to the surface of what carries it; a cape and a skirt are held all along their upper edge.
 """
 
 from __future__ import annotations
@@ -12,30 +13,25 @@ from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from bunraku.apparel.clothed import ClothedCharacter
-from bunraku.apparel.nodes import surface_distances
-from bunraku.core.body.layout import JOINT_NAMES, JOINT_PARENTS, sided
-from bunraku.core.geometry.axes import covered, direction_bins
+from bunraku.apparel.clothed import LEGS, ClothedCharacter
+from bunraku.apparel.fitting import kinds_of
+from bunraku.apparel.parts import find_parts
+from bunraku.core.body.layout import JOINT_NAMES, JOINT_PARENTS
+from bunraku.core.geometry.axes import direction_bins
 from bunraku.core.geometry.graph import clean_mesh, mesh_parts, unique_edges
 
 # Lengths over the size [m]. All were chosen by eye.
-ROUND = 0.65  # share of the directions about the body that a skirt covers
-BROAD = 0.3  # the same of a cape
-BINS = 24
+BINS = 24  # directions about the pelvis in which the upper edge of a sheet is looked for
 # Points are joined to so many that are as near: cards of hair and layers of cloth lie on one another without an edge.
 NEAR, CLOSE = 6, 0.02
 # Points of cloth are joined to so many of those on a grid that are nearer than the wall: both walls of a cloth with
 # thickness, and a petticoat and its skirt, reach as far at the same position.
 WALL, GRID, ACROSS = 0.06, 0.02, 16
-SKULL = 1.3  # half axes of the skull within which hair above its lower quarter is held
-BALD = 0.75  # least half axes of a skull that hair hides, over half its height
-FAR = 0.04  # what lies farther than this from the held points of its piece is held by itself
+FAR = 0.04  # what lies farther than this from its carrier hangs on what is nearer of its piece
 UPPER = 0.35  # of the height of a piece of cloth: only its points above this hold it
+HANGS = 0.5  # of two ends, the upper one holds though the other is nearer by as much of its height
 EDGE = 0.02  # how far down from its upper edge cloth is held
-_HEAD = tuple(JOINT_NAMES.index(name) for name in ("head", "neck"))
-_HIPS = tuple(JOINT_NAMES.index(name) for name in ("pelvis", "spine1", "left_hip", "right_hip"))
-_CHEST = (JOINT_NAMES.index("spine2"), JOINT_NAMES.index("spine3"), *sided("collar"))
-_ARMS = sided("shoulder", "elbow", "wrist")
+_HEAD = JOINT_NAMES.index("head")
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,12 +52,12 @@ def pieces_of(clothed: ClothedCharacter) -> tuple[list[Piece], np.ndarray]:
     clean = clean_mesh(clothed.rest, clothed.faces)
     count = len(clean.vertices)
     points = clean.vertices * clean.scale + clean.center
-    part = np.full(count, -1, np.int64)
-    along, joint = np.zeros(count), np.zeros(count, np.int64)
+    part, joint = np.full(count, -1, np.int64), np.zeros(count, np.int64)
     cloth = np.flatnonzero(clothed.part >= 0)
     part[clean.index[cloth]] = clothed.part[cloth]
-    along[clean.index[cloth]] = surface_distances(clothed)[cloth]
+    joint[clean.index] = clothed.weights.argmax(axis=1)
     joint[clean.index[cloth]] = clothed.weights[cloth].argmax(axis=1)
+    kinds = clothed.kinds or kinds_of(clothed, find_parts(clothed.rest, clothed.faces).label)
     edges = unique_edges(clean.faces, count)
     apparel = (part[edges] >= 0).sum(axis=1)
     border = np.zeros(count, bool)
@@ -73,19 +69,27 @@ def pieces_of(clothed: ClothedCharacter) -> tuple[list[Piece], np.ndarray]:
         if len(rows) < 4:
             continue
         carrier = int(np.bincount(joint[rows]).argmax())
-        kind = _kind(clothed, carrier, points[rows], along[rows])
-        if kind == "hair":
+        if kinds[number] == "hair":
             hair.append(rows)
         else:
-            groups.append((kind, carrier, rows))
+            groups.append((kinds[number], carrier, rows))
     if hair:
-        groups.insert(0, ("hair", _HEAD[0], np.concatenate(hair)))
-    pieces = [_piece(clothed, kind, carrier, rows, points, along, border, edges) for kind, carrier, rows in groups]
+        groups.insert(0, ("hair", _HEAD, np.concatenate(hair)))
+    pieces = []
+    for kind, carrier, rows in groups:
+        holders = points[(part < 0) & np.isin(joint, _holding(carrier))]
+        pieces.append(_piece(clothed, kind, carrier, rows, points, holders, border, edges))
     return pieces, clean.index
 
 
+def _holding(joint: int) -> list[int]:
+    """Joints whose surface holds what a joint carries: those beside it, and the legs hold nothing."""
+    beside = [JOINT_PARENTS[joint], *(child for child, parent in enumerate(JOINT_PARENTS) if parent == joint)]
+    return [joint, *(other for other in beside if other >= 0 and other not in LEGS)]
+
+
 def _piece(
-    clothed: ClothedCharacter, kind: str, joint: int, rows: np.ndarray, points: np.ndarray, along: np.ndarray,
+    clothed: ClothedCharacter, kind: str, joint: int, rows: np.ndarray, points: np.ndarray, holders: np.ndarray,
     border: np.ndarray, edges: np.ndarray,
 ) -> Piece:  # fmt: skip
     positions, count = points[rows], len(rows)
@@ -96,8 +100,7 @@ def _piece(
     pairs = np.concatenate([pairs, _near(positions, np.arange(count), NEAR + 1, CLOSE * clothed.scale)])
     if kind in ("skirt", "cape"):
         pairs = np.concatenate([pairs, _through(positions, clothed.scale)])
-    seeds = _held(clothed, kind, positions, along[rows])
-    seeds |= _apart(positions, pairs, seeds, border[rows], clothed.scale)
+    seeds = _held(clothed, kind, positions, pairs, holders, border[rows])
     pairs = _bridged(positions, pairs, seeds)
     pairs = np.unique(np.sort(pairs, axis=1), axis=0)
     lengths = np.linalg.norm(positions[pairs[:, 0]] - positions[pairs[:, 1]], axis=1) + 1e-9
@@ -107,20 +110,33 @@ def _piece(
     return Piece(kind, joint, rows, positions, far, np.where(before < 0, -1, before), graph)
 
 
-def _held(clothed: ClothedCharacter, kind: str, points: np.ndarray, along: np.ndarray) -> np.ndarray:
-    """Points at which a piece is held, at least one, shape (P,), bool."""
-    touches = along <= along.min() + 1e-9
+def _held(
+    clothed: ClothedCharacter, kind: str, points: np.ndarray, pairs: np.ndarray, holders: np.ndarray,
+    border: np.ndarray,
+) -> np.ndarray:  # fmt: skip
+    """Points at which a piece is held, at least one, shape (P,), bool: where an edge joins it to the body, else at the
+    nearest end of each of its components, as far as that is nearer to what carries it, points (H, 3), than to the rest
+    of the piece.
+    """
     low, high = float(points[:, 1].min()), float(points[:, 1].max())
-    if kind == "hair":
-        centre, axes = _skull(clothed)
-        away = (points - centre) / axes
-        held = (np.linalg.norm(away, axis=1) < SKULL) & (away[:, 1] > -0.25)
-        return held if held.any() else touches
-    if kind in ("skirt", "cape"):
-        upper = points[:, 1] >= high - UPPER * (high - low)
-        held = (touches & upper) | _upper_edge(clothed, points)
-        return held if held.any() else upper
-    return touches
+    upper = points[:, 1] >= high - UPPER * (high - low)
+    sheet = kind in ("skirt", "cape")
+    held = border & upper if sheet else np.array(border)
+    if sheet:
+        held |= _upper_edge(clothed, points)
+    label, size = mesh_parts(pairs, len(points)), clothed.scale
+    gap = (cKDTree(holders).query(points)[0] if len(holders) else 0) + HANGS * (high - points[:, 1])
+    least = np.full(int(label.max()) + 1, np.inf)
+    np.minimum.at(least, label, gap)
+    loose = ~np.isin(label, label[held])
+    near = loose & (least <= FAR * size)[label]
+    held |= near & (gap <= least[label] + EDGE * size)
+    for number in np.unique(label[loose & ~near]):  # a tail far from the head hangs by itself, a tip on its lock
+        rows = np.flatnonzero(label == number)
+        other = cKDTree(points[held]).query(points[rows])[0].min() if held.any() else np.inf
+        if least[number] <= other:
+            held[rows[gap[rows] <= least[number] + EDGE * size]] = True
+    return held if held.any() else upper
 
 
 def _upper_edge(clothed: ClothedCharacter, points: np.ndarray) -> np.ndarray:
@@ -131,30 +147,6 @@ def _upper_edge(clothed: ClothedCharacter, points: np.ndarray) -> np.ndarray:
     np.maximum.at(top, bins, points[:, 1])
     low, high = float(points[:, 1].min()), float(points[:, 1].max())
     return (points[:, 1] > top[bins] - EDGE * clothed.scale) & (points[:, 1] > low + 0.5 * (high - low))
-
-
-def _skull(clothed: ClothedCharacter) -> tuple[np.ndarray, np.ndarray]:
-    """Centre and half axes of the skull [m], (3,) each, by the bare surface of the head; never very narrow."""
-    head = clothed.joints[_HEAD[0]].astype(float)
-    held = clothed.weights[:, _HEAD[0]] > 0.5
-    held &= clothed.rest[:, 1] > head[1]
-    bare = clothed.rest[held & (clothed.part < 0)]
-    every = clothed.rest[held]
-    top = float(np.percentile(every[:, 1], 99)) if len(every) else head[1] + 0.2 * clothed.scale
-    if len(bare) >= 20 and bare[:, 1].max() > head[1] + 0.6 * (top - head[1]):
-        top = float(np.percentile(bare[:, 1], 99))
-    half = 0.5 * max(top - head[1], 0.06 * clothed.scale)
-    centre = np.array([head[0], head[1] + half, head[2]])
-    axes = np.full(3, half)
-    if len(bare) >= 20:
-        low, high = np.percentile(bare, [2, 98], axis=0)
-        for axis in (0, 2):
-            axes[axis] = np.clip(0.5 * (high[axis] - low[axis]), BALD * half, 1.3 * half)
-        centre[0] = 0.5 * (low[0] + high[0])
-        # a face alone says where the skull begins, and not how far back it goes
-        centre[2] = max(0.5 * (low[2] + high[2]), high[2] - 1.1 * axes[2]) if high[2] > head[2] else head[2]
-        centre[2] = min(centre[2], high[2] - 0.8 * axes[2])
-    return centre, axes
 
 
 def _through(points: np.ndarray, size: float) -> np.ndarray:
@@ -176,23 +168,6 @@ def _near(points: np.ndarray, among: np.ndarray, count: int, reach: float) -> np
     return np.stack([row, other], axis=1)[row != other]
 
 
-def _apart(points: np.ndarray, pairs: np.ndarray, seeds: np.ndarray, border: np.ndarray, size: float) -> np.ndarray:
-    """Points that hold components apart from all that is held, (P,), bool: where they are one surface with the body,
-    or, far from all that is held, at their nearest end: a tail hangs from the head and not from a hip that it touches.
-    """
-    label = mesh_parts(pairs, len(points))
-    out = np.zeros(len(points), bool)
-    loose = ~np.isin(label, label[seeds])
-    gap = cKDTree(points[seeds]).query(points)[0]
-    for number in np.unique(label[loose]):
-        rows = np.flatnonzero(label == number)
-        if border[rows].any():
-            out[rows] = border[rows]
-        elif gap[rows].min() > FAR * size:
-            out[rows] = gap[rows] <= gap[rows].min() + EDGE * size
-    return out
-
-
 def _bridged(points: np.ndarray, pairs: np.ndarray, seeds: np.ndarray) -> np.ndarray:
     """Pairs with one more from each component without a seed to the nearest point of one that has some."""
     label = mesh_parts(pairs, len(points))
@@ -210,52 +185,3 @@ def _bridged(points: np.ndarray, pairs: np.ndarray, seeds: np.ndarray) -> np.nda
         more.append(np.stack([rest[chosen], inside[nearest[chosen]]], axis=1))
         reached[label[rest[chosen]]] = True
     return np.concatenate(more)
-
-
-def _around(clothed: ClothedCharacter, joint: int, points: np.ndarray) -> np.ndarray:
-    """Angle of points about the axis of their carrier, 0 in front."""
-    start = clothed.joints[joint].astype(float)
-    axis = np.array([0.0, 1, 0])
-    if joint in _ARMS:
-        below = [child for child, parent in enumerate(JOINT_PARENTS) if parent == joint]
-        axis = clothed.joints[below[0]] - start if below else start - clothed.joints[JOINT_PARENTS[joint]]
-        axis = axis / max(float(np.linalg.norm(axis)), 1e-9)
-    front = np.array([0.0, 0, 1]) - axis[2] * axis
-    front /= max(float(np.linalg.norm(front)), 1e-9)
-    side = np.cross(axis, front)
-    away = points - start
-    return np.asarray(np.arctan2(away @ side, away @ front))
-
-
-def _kind(clothed: ClothedCharacter, joint: int, points: np.ndarray, along: np.ndarray) -> str:
-    """The kind of a part, by its carrier and how far it goes round that."""
-    length = float(along.max())
-    angle = _around(clothed, joint, points)
-    cover = covered(angle, BINS)
-    spread = np.ptp(points, axis=0)
-    width = float(np.hypot(spread[0], spread[2]))
-    if joint in _HEAD:
-        top = clothed.rest[:, 1].max() - 0.5 * (clothed.rest[:, 1].max() - clothed.joints[_HEAD[0]][1])
-        far = along > 0.5 * length
-        stands = bool(far.any()) and points[:, 1].max() > top and points[far, 1].mean() > points[~far, 1].mean()
-        return "ear" if stands and length < 0.2 * clothed.scale else "hair"
-    if joint in _ARMS:
-        return "sleeve" if cover > BROAD else "ribbon"
-    if joint in _HIPS:
-        if cover >= ROUND:
-            return "skirt"
-        thin = _thickness(points)
-        if cover > BROAD and thin < 0.35:
-            return "skirt"
-        begins = points[along <= np.percentile(along, 20)].mean(axis=0) - clothed.joints[_HIPS[0]]
-        behind = begins[2] < 0 and abs(begins[0]) < -begins[2]
-        return "tail" if behind and (thin >= 0.35 or width < 0.1) else "ribbon"
-    if joint in _CHEST:
-        return "cape" if cover > BROAD and length > 0.15 * clothed.scale else "ribbon"
-    return "ribbon"
-
-
-def _thickness(points: np.ndarray) -> float:
-    """Thickness over width of points, across their longest axis, from 0 (a sheet) to 1 (a rod)."""
-    values = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov((points - points.mean(axis=0)).T)), 0))
-    return float(values[0] / max(values[1], 1e-9))

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
+from bunraku.apparel.part_network import CARRIERS, PARTS
 from bunraku.core.body.layout import JOINT_NAMES
-from bunraku_lab.nn.part_inference import CARRIERS, PARTS
 from bunraku_lab.synthetic.dressed import extras
 from bunraku_lab.synthetic.dressed.garments import BodyShape, Piece, Wardrobe, joined
 from bunraku_lab.synthetic.dressed.people import covered_by, melted, random_outfit, simplified

@@ -1,0 +1,387 @@
+"""The parts of a character, found before it has handles or joints: body, hair, clothes that hang, what is held, worn or
+lies about, and what carries each.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from scipy.sparse import csr_matrix, diags
+from scipy.spatial import cKDTree
+
+from bunraku.apparel.mask import file_beside
+from bunraku.apparel.part_network import CARRIERS, PARTS, PartNetwork, PartPoints, load_parts, loose_parts, part_points
+from bunraku.core.arrays import read_npy
+from bunraku.core.body.layout import HANDLE_NAMES
+from bunraku.core.character import Character, Handles
+from bunraku.core.files import atomic_write, read_bounded
+from bunraku.core.geometry.curves import smooth_step
+from bunraku.core.geometry.graph import clean_mesh, mesh_parts, unique_edges
+from bunraku.core.nn.checkpoints import dated_checkpoint
+from bunraku.core.nn.layers import one_thread, sigmoid, softmax
+from bunraku.errors import FormatError, OptionError
+
+SUFFIX = ".parts.npy"
+"""Of the file beside a character's that says the kind of each vertex, a number in `PARTS`."""
+BODY = PARTS.index("body")
+HANGING = tuple(PARTS.index(name) for name in ("hair", "skirt", "cape", "sleeve", "tail"))
+"""Kinds that hang; what is held or worn is stiff."""
+STIFF = tuple(PARTS.index(name) for name in ("prop", "accessory"))
+LIKELY = 0.15
+"""Probability from which on a vertex hangs: long hair that physics move and stiff hair look alike. On the files that
+settings are chosen on (`benchmarks/part_files.md`) 0.1 is best, which marks 1.02 % of machines, animals and the bare;
+0.15 marks 0.75 %.
+"""
+EVENED = 4  # how often probabilities are averaged with those beside them; chosen by eye
+ISLAND = 0.002  # of the surface: smaller patches inside another part are of that part; chosen by eye
+TOUCH = 0.02  # over the size: loose pieces of one kind that are nearer are one part; chosen by eye
+LEAST = 5e-4  # of the surface: smaller parts belong to the body; chosen by eye
+BORDER = 0.03  # over the size: so far from the body's surface a stiff part of one skin with it is not stiff yet; by eye
+BARE = 0.25  # of the surface: where less would be left of a body, its handles are those of the whole; chosen by eye
+HOLDING = 10  # percentile of distances: so much of a part, nearest to the body, says what holds it; chosen by eye
+KNOWN = 4  # characters whose parts stay in memory
+_HEAD = HANDLE_NAMES.index("head")
+
+
+@dataclass(frozen=True, eq=False)
+class FoundParts:
+    """What the network says of each vertex of a mesh.
+
+    Args:
+        parts: Probability of each of `PARTS`, shape (V, 9).
+        hangs: Probability that physics would move it, shape (V,).
+        carriers: Probability of each of `CARRIERS`, shape (V, 7).
+    """
+
+    parts: np.ndarray
+    hangs: np.ndarray
+    carriers: np.ndarray
+
+    @property
+    def label(self) -> np.ndarray:
+        """Number in `PARTS` of each vertex, shape (V,)."""
+        return np.asarray(self.parts.argmax(axis=1))
+
+    @property
+    def mask(self) -> np.ndarray:
+        """Vertices that hang, shape (V,), bool."""
+        return np.asarray(self.hangs > LIKELY)
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """The parts of a character besides its body.
+
+    Args:
+        label: Number in `PARTS` of each vertex, shape (V,), int8.
+        number: The part of each vertex, -1 on the body, shape (V,), int32.
+        hangs: Vertices that swing where their part is moved, shape (V,), bool.
+        kinds: Kind of each part, one of `PARTS`.
+        carriers: What carries each, one of `CARRIERS`.
+    """
+
+    label: np.ndarray
+    number: np.ndarray
+    hangs: np.ndarray
+    kinds: tuple[str, ...]
+    carriers: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.kinds)
+
+    @property
+    def carrier(self) -> np.ndarray:
+        """Number in `CARRIERS` of what carries each vertex, -1 on the body, shape (V,)."""
+        table = np.array([*(CARRIERS.index(name) for name in self.carriers), -1])
+        return np.asarray(table[self.number])
+
+    @property
+    def left_out(self) -> np.ndarray:
+        """What no handle is made of, shape (V,), bool: hair that hangs, what is held, what lies about."""
+        hair = self.hangs & (self.label == PARTS.index("hair"))
+        return np.asarray(hair | np.isin(self.label, (PARTS.index("prop"), PARTS.index("ground"))))
+
+    def labels_with(self, number: int, kind: str) -> np.ndarray:
+        """Labels in which a part has another kind, shape (V,): those of a character whose `parts` they become.
+
+        Raises:
+            OptionError: There is no such part or kind.
+        """
+        if kind not in PARTS:
+            raise OptionError(f"'{kind[:40]}' is no kind of part; take one of {', '.join(PARTS)}")
+        if not 0 <= number < len(self):
+            raise OptionError(f"there is no part {number}; the parts are numbered from 0 to {len(self) - 1}")
+        return np.where(self.number == number, PARTS.index(kind), self.label).astype(np.int8)
+
+
+_known: OrderedDict[bytes, FoundParts] = OrderedDict()
+
+
+def parts_of(character: Character) -> Parts:
+    """The parts of a character: those that it has, or the file beside its own says, or else the network finds.
+
+    Raises:
+        CharacterError: The mesh is broken.
+        FormatError: The file is broken or belongs to another mesh.
+        WeightsError: The shipped weights are missing or broken.
+    """
+    colors = None if character.colors is None else character.colors / np.float32(255)
+    arrays = (character.vertices, character.faces, *(() if colors is None else (colors,)))
+    key = hashlib.blake2b(b"".join(np.ascontiguousarray(array).tobytes() for array in arrays)).digest()
+    found = _known.pop(key, None) or find_parts(character.vertices, character.faces, colors)
+    _known[key] = found
+    while len(_known) > KNOWN:
+        _known.popitem(last=False)
+    said = character.parts
+    path = file_beside(character, (SUFFIX,)) if said is None else None
+    return _whole(character, found, said if path is None else _read(path, len(character.vertices)))
+
+
+def with_part(character: Character, number: int, kind: str) -> Character:
+    """A character one of whose parts is of another kind; everything that follows goes by that.
+
+    Args:
+        character: Any mesh, +Y up and facing +Z.
+        number: Of the part, as `parts_of` numbers them.
+        kind: One of `PARTS`.
+
+    Raises:
+        OptionError: There is no such part or kind.
+    """
+    return replace(character, parts=parts_of(character).labels_with(number, kind))
+
+
+def save_parts(labels: np.ndarray, path: Path) -> None:
+    """Write labels, shape (V,), as the file beside a character's that `parts_of` reads.
+
+    Raises:
+        FormatError: It cannot be written.
+    """
+    with atomic_write(path) as file:
+        np.save(file, np.asarray(labels, np.int8), allow_pickle=False)  # type: ignore[arg-type]
+
+
+def _read(path: Path, count: int) -> np.ndarray:
+    labels = read_npy(path, read_bounded(path))
+    if labels.shape != (count,) or not np.isin(labels, np.arange(len(PARTS))).all():
+        raise FormatError(path, f"it does not say the part of each of {count:,} vertices; remove it, or write it again")
+    return labels.astype(np.int8)
+
+
+def find_parts(
+    vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray | None = None, checkpoint: str | Path | None = None
+) -> FoundParts:
+    """What part each vertex is of, what carries it, and whether it hangs.
+
+    Args:
+        vertices: Rest mesh [m], +Y up and facing +Z, shape (V, 3).
+        faces: Shape (F, 3).
+        colors: sRGB from 0 to 1 of each vertex, shape (V, 3), or None.
+        checkpoint: Weights of kind "parts" in place of the shipped ones.
+
+    Raises:
+        CharacterError: The mesh is broken.
+        WeightsError: The checkpoint is missing or does not fit.
+    """
+    model = _model(*dated_checkpoint("parts", checkpoint))
+    vertices, faces = np.asarray(vertices, np.float64), np.asarray(faces, np.int64)
+    own = loose_parts(vertices, faces)
+    part = np.zeros(len(vertices), np.int64)  # strays are of any
+    part[faces] = own[:, None]
+    used = vertices[np.unique(faces)]
+    low, high = used.min(axis=0), used.max(axis=0)
+    placed = (vertices - 0.5 * (low + high)) / max(float((high - low).max()), 1e-12)
+    count = len(PARTS)
+    with one_thread():
+        seen = part_points(vertices, faces, own, colors)
+        # Painted or not, a part is the same: where there are colours, both answers count.
+        plain = replace(seen, surface=replace(seen.surface, colors=None))
+        scores = [model.scores(view) for view in ((plain,) if colors is None else (plain, seen))]
+        likely = np.mean(
+            [
+                np.concatenate(
+                    [softmax(row[:, :count]), sigmoid(row[:, count : count + 1]), softmax(row[:, count + 1 :])], axis=1
+                )
+                for row in scores
+            ],
+            axis=0,
+        )
+    total = _spread(placed, part, seen, likely)
+    return FoundParts(total[:, :count], total[:, count], total[:, count + 1 :])
+
+
+@lru_cache(maxsize=2)
+def _model(path: Path, changed: int) -> PartNetwork:
+    return load_parts(path)
+
+
+def _spread(placed: np.ndarray, part: np.ndarray, seen: PartPoints, values: np.ndarray) -> np.ndarray:
+    """Values of points at the vertices, from the three nearest of the same loose part, or of any where it has none."""
+    # Parts that lie on one another stay apart: each has a layer of its own along a fourth axis.
+    layer = np.concatenate([placed, 4.0 * part[:, None]], axis=1)
+    known = np.concatenate([seen.surface.points, 4.0 * seen.surface.part[:, None]], axis=1)
+    gap, near = cKDTree(known).query(layer, 3)
+    lost = gap[:, 0] >= 4
+    if lost.any():
+        gap[lost], near[lost] = cKDTree(seen.surface.points).query(placed[lost], 3)
+    weight = 1 / (gap.clip(max=4) + 1e-4) * (gap < 4)
+    weight /= np.maximum(weight.sum(axis=1, keepdims=True), 1e-12)
+    return np.asarray((values[near] * weight[..., None]).sum(axis=1), np.float32)
+
+
+def _whole(character: Character, found: FoundParts, said: np.ndarray | None) -> Parts:
+    """Parts as connected pieces of the surface, without holes and islands; their kinds as labels say where there are
+    some, shape (V,).
+    """
+    clean = clean_mesh(character.vertices, character.faces)
+    count = len(clean.vertices)
+    first = np.unique(clean.index, return_index=True)[1]
+    edges = unique_edges(clean.faces, count)
+    area = np.bincount(clean.index, character.areas, count)
+    values = _evened(np.column_stack([found.parts, found.hangs])[first], edges)
+    label, hangs = values[:, :-1].argmax(axis=1), values[:, -1] > LIKELY
+    if said is None:
+        label = _filled(label, edges, area)
+    else:
+        changed = said[first] != label
+        label, hangs = np.asarray(said[first], np.int64), hangs | changed
+    hangs = _filled(np.where(np.isin(label, HANGING) & hangs, label, -1), edges, area) >= 0
+    hangs &= np.isin(label, HANGING)
+    number = np.full(count, -1)
+    same = edges[(label[edges[:, 0]] == label[edges[:, 1]]) & (label[edges[:, 0]] != BODY)]
+    piece = mesh_parts(np.concatenate([same, _touching(clean.vertices, label)]), count)
+    kinds, carriers = [], []
+    rank = np.bincount(piece, np.where(label == BODY, 0, area))
+    votes = np.stack([np.bincount(piece, area * column) for column in found.carriers[first].T], axis=1)
+    for part in np.argsort(-rank, kind="stable"):
+        if rank[part] < (LEAST if said is None else 1e-9) * area.sum():
+            break
+        rows = piece == part
+        number[rows] = len(kinds)
+        kinds.append(PARTS[int(label[rows][0])])
+        carriers.append(CARRIERS[int(votes[part].argmax())])
+    label = np.where(number >= 0, label, BODY)
+    hangs &= number >= 0
+    back = clean.index
+    return Parts(label[back].astype(np.int8), number[back].astype(np.int32), hangs[back], tuple(kinds), tuple(carriers))
+
+
+def _evened(values: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Values of points averaged with those an edge away, shape (P, C)."""
+    count = len(values)
+    both = np.concatenate([edges, edges[:, ::-1]])
+    matrix = csr_matrix((np.ones(len(both), np.float32), (both[:, 0], both[:, 1])), shape=(count, count))
+    degree = np.asarray(matrix.sum(axis=1)).reshape(-1)
+    mean = diags((1 / np.maximum(degree, 1)).astype(np.float32)) @ matrix
+    for _ in range(EVENED):
+        values = np.where((degree > 0)[:, None], 0.5 * values + 0.5 * (mean @ values), values)
+    return values
+
+
+def _filled(label: np.ndarray, edges: np.ndarray, area: np.ndarray) -> np.ndarray:
+    """Labels of points in which small patches have the label of most that is around them, shape (P,)."""
+    out, count = np.array(label), len(label)
+    for _ in range(2):
+        piece = mesh_parts(edges[out[edges[:, 0]] == out[edges[:, 1]]], count)
+        small = np.bincount(piece, area) < ISLAND * area.sum()
+        across = edges[piece[edges[:, 0]] != piece[edges[:, 1]]]
+        across = np.concatenate([across, across[:, ::-1]])
+        across = across[small[piece[across[:, 0]]] & ~small[piece[across[:, 1]]]]
+        if not len(across):
+            break
+        pairs, votes = np.unique(np.stack([piece[across[:, 0]], out[across[:, 1]]], axis=1), axis=0, return_counts=True)
+        order = np.argsort(votes, kind="stable")
+        most = np.full(len(small), label.min() - 1)
+        most[pairs[order, 0]] = pairs[order, 1]  # the last one stays
+        found = most[piece] >= label.min()
+        out[found] = most[piece[found]]
+    return out
+
+
+def _touching(points: np.ndarray, label: np.ndarray) -> np.ndarray:
+    """Pairs of points of one kind, not the body's, that nearly touch, shape (E, 2)."""
+    rows = np.flatnonzero(label != BODY)
+    if len(rows) < 2:
+        return np.zeros((0, 2), np.int64)
+    placed = np.column_stack([points[rows], label[rows].astype(float)])  # kinds are an extent apart
+    near = min(6, len(rows))
+    gap, other = cKDTree(placed).query(placed, near, distance_upper_bound=TOUCH)
+    row, column = np.nonzero(np.isfinite(gap))
+    return np.stack([rows[row], rows[other[row, column]]], axis=1)
+
+
+_LIMBS = (
+    ("neck", "head", "head_top", "face"),
+    ("spine1", "spine2", "spine3", "left_collar", "right_collar"),
+    ("pelvis", "spine1"),
+    *(tuple(f"{side}_{name}" for name in ("shoulder", "elbow", "wrist", "fingers")) for side in ("left", "right")),
+    *(tuple(f"{side}_{name}" for name in ("hip", "knee", "ankle", "foot")) for side in ("left", "right")),
+)
+_HANDLES = np.array([[name in limb for name in HANDLE_NAMES] for limb in _LIMBS])
+"""Handles of each of `CARRIERS`, shape (7, 30)."""
+
+
+def carried_by(carrier: str, weights: np.ndarray) -> int:
+    """The handle or joint of a carrier that has most of some weights (K,) of the layout's first K; of any where the
+    carrier has none of them.
+    """
+    own = weights * _HANDLES[CARRIERS.index(carrier), : len(weights)]
+    return int((own if own.sum() > 1e-3 * weights.sum() else weights).argmax())
+
+
+def handles_of_body(character: Character, predict: Callable[[Character], Handles]) -> Handles:
+    """The handles of a character, predicted on its body alone; hair, and what is held or worn, goes with its carrier.
+
+    Args:
+        character: Any mesh, +Y up and facing +Z.
+        predict: Gives the handles of a character; vertices that are `beside` are none of its body.
+    """
+    parts = parts_of(character)
+    left, areas = parts.left_out, character.areas
+    if areas[~left].sum() < BARE * areas.sum():
+        left = np.zeros_like(left)
+    beside = left if character.beside is None else left | character.beside
+    handles = predict(replace(character, beside=beside) if left.any() else character)
+    if handles.rigid or not (left.any() or np.isin(parts.label, STIFF).any()):
+        return handles
+    return replace(handles, weights=stiff_weights(character, parts, handles.weights, left))
+
+
+def stiff_weights(character: Character, parts: Parts, weights: np.ndarray, left: np.ndarray) -> np.ndarray:
+    """Weights (V, K) of handles in which each part that is stiff, or was left out (V,), goes as a whole with the handle
+    that holds it: the one that has most of the surface nearest to it, among those of its carrier. Where a part is one
+    skin with the body, it becomes stiff away from the border.
+    """
+    out = np.array(weights, np.float64)
+    moved = left | np.isin(parts.label, STIFF)
+    vertices = np.asarray(character.vertices, np.float64)
+    body = np.flatnonzero(~moved & character.surface)
+    if not len(body):
+        return weights
+    tree, reach = cKDTree(vertices[body]), BORDER * float(np.ptp(vertices, axis=0).max())
+    clean = clean_mesh(vertices, character.faces)
+    points, of = np.zeros_like(clean.vertices), np.full(len(clean.vertices), -1)
+    points[clean.index], of[clean.index[moved]] = vertices, parts.number[moved]
+    edges = unique_edges(clean.faces, len(of))
+    edges = np.concatenate([edges, edges[:, ::-1]])
+    edges = edges[(of[edges[:, 0]] >= 0) & (of[edges[:, 1]] < 0)]
+    for number, (kind, carrier) in enumerate(zip(parts.kinds, parts.carriers, strict=True)):
+        rows = np.flatnonzero((parts.number == number) & moved)
+        if not len(rows):
+            continue
+        gap, near = tree.query(vertices[rows])
+        close = gap <= np.percentile(gap, HOLDING)
+        holder = _HEAD if kind == "hair" else carried_by(carrier, weights[body[near[close]]].sum(axis=0))
+        ends = points[edges[of[edges[:, 0]] == number, 1]]
+        share = (
+            smooth_step(cKDTree(ends).query(vertices[rows])[0] / reach, 0.0, 1.0) if len(ends) else np.ones(len(rows))
+        )
+        out[rows] = weights[body[near]] * (1 - share[:, None])
+        out[rows, holder] += share
+    return out.astype(np.float32)

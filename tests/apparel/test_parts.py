@@ -1,0 +1,96 @@
+"""The parts of a character, and what they are to its handles."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bunraku.anatomy.handles.predict import predict_handles
+from bunraku.apparel.part_network import PARTS
+from bunraku.apparel.parts import SUFFIX, handles_of_body, parts_of, save_parts, with_part
+from bunraku.core.body.layout import HANDLE_NAMES
+from bunraku.core.body.reference import reference_body
+from bunraku.core.character import Character
+from bunraku.errors import FormatError, OptionError
+from bunraku.files import load_character, save_character
+from bunraku.files.samples import sample_character
+
+
+def rod(start, end, radius=0.02) -> tuple[np.ndarray, np.ndarray]:
+    """A closed tube from one point to another."""
+    turn = np.linspace(0, 2 * np.pi, 8, endpoint=False)
+    line = (np.asarray(end) - start) / np.linalg.norm(np.asarray(end) - start)
+    side = np.cross(line, [0.3, 0.2, 1.0])
+    side /= np.linalg.norm(side)
+    ring = radius * (np.cos(turn)[:, None] * side + np.sin(turn)[:, None] * np.cross(line, side))
+    points = (start + np.linspace(0, 1, 12)[:, None] * (np.asarray(end) - start))[:, None] + ring
+    a = (np.arange(11)[:, None] * 8 + np.arange(8)).reshape(-1)
+    b = (np.arange(11)[:, None] * 8 + (np.arange(8) + 1) % 8).reshape(-1)
+    faces = np.concatenate([np.stack([a, b, a + 8], axis=1), np.stack([b, b + 8, a + 8], axis=1)])
+    return points.reshape(-1, 3), faces
+
+
+def with_rods(kind: str, *rods) -> tuple[Character, np.ndarray]:
+    """The reference body with rods that are of a kind, and which vertices these are."""
+    body = reference_body()
+    vertices, faces = [body.vertices], [body.faces]
+    for points, own in rods:
+        faces.append(own + sum(map(len, vertices)))
+        vertices.append(points)
+    count = sum(map(len, vertices))
+    added = np.arange(count) >= len(body.vertices)
+    labels = np.where(added, PARTS.index(kind), 0).astype(np.int8)
+    return Character("rods", np.concatenate(vertices), np.concatenate(faces), parts=labels), added
+
+
+def test_tails_of_hair_are_no_limbs():
+    """Two tails as thick as arms hang beside the arms: all of them goes with the head, and the arms stay arms."""
+    head = reference_body().joints[15]
+    tails = [rod(head + [side * 0.1, 0.1, -0.05], [side * 0.35, 0.3, -0.1], 0.05) for side in (-1, 1)]
+    character, added = with_rods("hair", *tails)
+    handles = handles_of_body(character, predict_handles)
+    low = added & (character.vertices[:, 1] < head[1])
+    assert (handles.weights[low].argmax(axis=1) == HANDLE_NAMES.index("head")).all()
+    alone = predict_handles(reference_body().character())
+    np.testing.assert_allclose(handles.positions[16:22], alone.positions[16:22], atol=0.03)
+
+
+def test_a_staff_goes_as_a_whole_with_the_hand_that_holds_it():
+    wrist = reference_body().joints[20]
+    character, added = with_rods("prop", rod(wrist + [0.08, -0.6, 0.03], wrist + [0.08, 0.7, 0.03]))
+    weights = handles_of_body(character, predict_handles).weights[added]
+    assert (weights.max(axis=1) > 0.999).all() and len(set(weights.argmax(axis=1))) == 1
+    assert HANDLE_NAMES[int(weights[0].argmax())] in ("left_wrist", "left_fingers")
+
+
+def test_a_part_has_the_kind_that_it_is_given_and_the_file_beside_keeps_it(tmp_path):
+    dancer = sample_character("dancer")
+    parts = parts_of(dancer)
+    number = parts.kinds.index("skirt")
+    assert parts.carriers[number] == "pelvis" and parts.hangs[parts.number == number].mean() > 0.8
+    stiff = with_part(dancer, number, "accessory")
+    mine = parts.number == number
+    assert (parts_of(stiff).label[mine] == PARTS.index("accessory")).all() and not parts_of(stiff).hangs[mine].any()
+    assert parts_of(stiff).hangs[parts.hangs & ~mine].all()
+    path = save_character(dancer, tmp_path / "dancer.glb")
+    read = load_character(path)
+    save_parts(parts_of(read).labels_with(number, "cape"), path.with_name("dancer" + SUFFIX))
+    assert "cape" in parts_of(read).kinds and "skirt" not in parts_of(read).kinds
+    with pytest.raises(OptionError, match="kind of part"):
+        parts.labels_with(number, "wig")
+    with pytest.raises(OptionError, match="no part"):
+        parts.labels_with(99, "cape")
+    path.with_name("dancer" + SUFFIX).write_bytes(b"no")
+    with pytest.raises(FormatError):
+        parts_of(read)
+
+
+def test_what_is_found_has_no_holes():
+    """Each part of the dancer is large, and the same mesh scaled and moved has the same parts."""
+    dancer = sample_character("dancer")
+    parts = parts_of(dancer)
+    assert len(parts) < 12 and (dancer.areas[parts.label == 0].sum() > 0.2 * dancer.areas.sum())
+    moved = parts_of(replace(dancer, vertices=2 * dancer.vertices + [0, 1, 0], source=None))
+    assert (moved.label == parts.label).mean() > 0.98
