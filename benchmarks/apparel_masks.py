@@ -3,8 +3,8 @@
     python benchmarks/apparel_masks.py FILES
 
 For each file of MMD or VRM, on its own rig: the intersection over the union of what its physics move with what the
-network finds vertex by vertex; with what is made of that by whole parts (`apparel/hanging.py`); and with what chains
-move of that, which hold hair at the skull and cloth at its upper edge: more than half of a vertex goes with links.
+network finds vertex by vertex; with what is made of that by whole parts (`apparel/parts.py`); and with what chains
+move of that, which are held where the body holds them: more than half of a vertex goes with links.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ import numpy as np
 
 from bunraku.apparel.body import UnifiedBody
 from bunraku.apparel.chains.from_shape import shape_chains
-from bunraku.apparel.learned.segmentation import find_apparel
 from bunraku.apparel.mask import apparel_mask
+from bunraku.apparel.parts import find_parts
 from bunraku.files import load_character
 from bunraku.pipelines.clothes import separate_apparel
 
@@ -38,7 +38,7 @@ def main() -> None:
             print(f"{path.name}: no physics")
             continue
         body = UnifiedBody.of(character)
-        alone = find_apparel(character.vertices, character.faces, body.joints).mask
+        alone = find_parts(character.vertices, character.faces).mask
         clothed = separate_apparel(character, body.joints, body.weights, None)
         laid = shape_chains(clothed)
         moved = np.zeros(len(true), bool)

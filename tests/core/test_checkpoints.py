@@ -14,7 +14,7 @@ from safetensors.numpy import save_file
 
 from bunraku.anatomy.handles.networks import load_orientation_predictor, load_predictor
 from bunraku.apparel.learned.network import load_displacement
-from bunraku.apparel.learned.segmentation import load_segmentation
+from bunraku.apparel.part_network import load_parts
 from bunraku.core.files import (
     PACKAGE_WEIGHTS,
     STALE,
@@ -163,7 +163,7 @@ LOADERS = {
     "diffusion": (load_denoiser, ""),
     "ranker": (lambda path: load_extractor(path, kind="ranker"), ""),
     "apparel": (load_displacement, "network"),
-    "apparel-mask": (load_segmentation, "network"),
+    "parts": (load_parts, "network"),
 }
 
 

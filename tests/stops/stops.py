@@ -169,7 +169,6 @@ KILLED = (
             needs,
         )
         for name, data, needs in (
-            ("apparel-mask", ("--characters", "3", "--network.blocks", "1"), ()),
             ("apparel-body", ("--data", "IN/apparel", "--characters", "3", "--network.features", "8"), ("apparel",)),
             (
                 "apparel",

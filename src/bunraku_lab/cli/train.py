@@ -91,15 +91,10 @@ TRAININGS: dict[str, Training] = {
         "--pairs data/pairs --out runs/tagger",
         "A processor takes a quarter of an hour, most of it for the vectors of the English sentences.",
     ),
-    "apparel-mask": Training(
-        "training.apparel.segmentation", "SegmentationTrainConfig", "train_segmentation",
-        "the apparel segmentation network (section 4.1 of MMDMC) on characters of the wardrobe",
-        "--out runs/apparel-mask", "No motion and no physics are needed.",
-    ),
     "apparel-body": Training(
         "training.apparel.body", "BodyTrainConfig", "train_body",
         "the body network: skinning weights by geodesic attention (section 4.2 of MMDMC)",
-        "--data data/apparel --meshes runs/apparel-mask-meshes --out runs/apparel-body",
+        "--data data/apparel --meshes runs/apparel-meshes --out runs/apparel-body",
         "Its variants without geodesic distances and sorted by them are --network.geodesics none and sorted.",
     ),
     "apparel-refinement": Training(

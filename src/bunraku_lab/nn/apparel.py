@@ -1,8 +1,7 @@
-"""The networks of apparel (section 4 of MMDMC): segmentation f_c, and displacement f_d (head and recurrent part)."""
+"""The displacement network of apparel, f_d of section 4 of MMDMC: head and recurrent part."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,11 +30,10 @@ from bunraku.apparel.learned.network import (
     WORLD_STATE,
     DisplacementConfig,
 )
-from bunraku.apparel.learned.segmentation import POINT_FEATURES, SampledMesh, SegmentationConfig
 from bunraku.apparel.nodes import ApparelNodes
 from bunraku.core.body.layout import JOINT_COUNT, JOINT_MIRROR
 from bunraku_lab.nn.checkpoints import SavedNetwork
-from bunraku_lab.nn.graph import EdgeBlock, NodeGraph, node_graph
+from bunraku_lab.nn.graph import EdgeBlock, NodeGraph
 
 
 class Inputs:
@@ -265,53 +263,6 @@ def normalize_inputs(model: DisplacementNetwork, nodes: torch.Tensor) -> None:
         if part is not None:
             part.encoder.mean[: len(mean)] = mean
             part.encoder.std[: len(std)] = std
-
-
-class SegmentationNetwork(SavedNetwork):
-    """The network."""
-
-    kind = "apparel-mask"
-    shape = SegmentationConfig
-
-    mean: torch.Tensor
-    std: torch.Tensor
-
-    def __init__(self, config: SegmentationConfig | None = None):
-        super().__init__()
-        self.config = config = config or SegmentationConfig()
-        width = config.width
-        self.register_buffer("mean", torch.zeros(POINT_FEATURES))
-        self.register_buffer("std", torch.ones(POINT_FEATURES))
-        self.enter = nn.Sequential(nn.Linear(POINT_FEATURES, width), nn.GELU(), nn.Linear(width, width))
-        self.blocks = nn.ModuleList(EdgeBlock(width) for _ in range(config.blocks))
-        self.pooled = nn.Linear(width, width)
-        self.decoder = nn.Sequential(nn.Linear(2 * width, width), nn.GELU(), nn.Linear(width, 3))
-
-    def scores(self, features: torch.Tensor, graph: NodeGraph) -> torch.Tensor:
-        """Before the sigmoid: apparel, stiffness and log10 of what a second of damping leaves, shape (S, 3).
-
-        Args:
-            features: Of the points of B meshes, shape (S, POINT_FEATURES).
-            graph: Their neighbours, loose parts and meshes.
-        """
-        x = self.enter(((features - self.mean) / self.std).clamp(-6, 6))
-        for block in self.blocks:
-            x = block(x, graph)
-        meshes = int(graph.owner.max()) + 1
-        rows = graph.owner[:, None].expand_as(x)
-        whole = x.new_full((meshes, x.shape[1]), -1e4).scatter_reduce(0, rows, x, "amax")
-        out: torch.Tensor = self.decoder(torch.cat([x, self.pooled(whole)[graph.owner]], dim=1))
-        return out
-
-    def forward(self, features: torch.Tensor, graph: NodeGraph) -> torch.Tensor:
-        """Probability of each point to be apparel, Sigmoid(f_c(V)) [MMDMC 2], shape (S,)."""
-        return torch.sigmoid(self.scores(features, graph)[:, 0])
-
-
-def mesh_block(meshes: Sequence[SampledMesh]) -> tuple[torch.Tensor, NodeGraph]:
-    """Features and graph of several meshes as one block."""
-    features = torch.cat([torch.from_numpy(mesh.features) for mesh in meshes])
-    return features, node_graph([mesh.neighbours for mesh in meshes], [mesh.part for mesh in meshes])
 
 
 def mirror_global(whole: np.ndarray) -> np.ndarray:

@@ -13,8 +13,6 @@ import torch
 
 from bunraku.anatomy.handles.networks import OrientationConfig, PredictorConfig, mesh_graph, ordered_graph, shape_tokens
 from bunraku.anatomy.handles.networks import turned_tokens as turned_arrays
-from bunraku.apparel.learned.segmentation import SegmentationConfig, sampled_mesh
-from bunraku.apparel.learned.segmentation import load_segmentation as load_running_segmentation
 from bunraku.core.body.reference import reference_body
 from bunraku.core.geometry.simplify import network_mesh
 from bunraku.core.nn.checkpoints import shipped_checkpoint
@@ -24,7 +22,6 @@ from bunraku.generation.extractor import RADIUS, ExtractorConfig
 from bunraku.generation.extractor import load_extractor as load_running_extractor
 from bunraku.generation.layers import DenoiserConfig
 from bunraku_lab.nn import graph as tensors
-from bunraku_lab.nn.apparel import SegmentationNetwork, mesh_block
 from bunraku_lab.nn.checkpoints import load_training_state
 from bunraku_lab.nn.denoiser import Denoiser, RetrievedExamples, load_denoiser, save_denoiser
 from bunraku_lab.nn.handles import HandlePredictor, OrientationPredictor, rotated_tokens
@@ -169,14 +166,6 @@ def test_handles():
     ours, expected = found(ordered), found(graph)
     np.testing.assert_allclose(ours.weights[ordered.position], expected.weights, atol=1e-5)
     np.testing.assert_allclose(ours.features, expected.features, atol=2e-5, rtol=1e-4)
-
-
-def test_segmentation(tmp_path):
-    body = reference_body()
-    model = randomised(SegmentationNetwork(SegmentationConfig(16, 2)))
-    mesh = sampled_mesh(body.vertices, body.faces, np.asarray(body.joints), 300, 0)
-    found = load_running_segmentation(model.save(tmp_path / "mask.safetensors"))
-    np.testing.assert_allclose(found.scores(mesh), model.scores(*mesh_block([mesh])), atol=2e-5, rtol=1e-4)
 
 
 def test_gelu_and_its_slope():

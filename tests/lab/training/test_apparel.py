@@ -8,14 +8,13 @@ import torch
 
 from bunraku.apparel.body import eq4_transforms
 from bunraku.apparel.learned.network import DisplacementConfig
-from bunraku.apparel.learned.segmentation import SegmentationConfig, point_features
 from bunraku.core.skinning import skin
 from bunraku.errors import OptionError
 from bunraku_lab.datasets.apparel import ApparelData
 from bunraku_lab.datasets.apparel.build import build_apparel
 from bunraku_lab.datasets.apparel.plan import choose_motions, motion_sources, plan_shards, wardrobe_sources
 from bunraku_lab.datasets.motions.clips import write_clip, write_index
-from bunraku_lab.nn.apparel import DisplacementNetwork, SegmentationNetwork
+from bunraku_lab.nn.apparel import DisplacementNetwork
 from bunraku_lab.nn.running import running_displacement
 from bunraku_lab.synthetic.stock_motions import stock_motion
 from bunraku_lab.training.apparel.body import (
@@ -32,6 +31,7 @@ from bunraku_lab.training.apparel.displacement import (
     build_bank,
     truly_clothed,
 )
+from bunraku_lab.training.apparel.meshes import build_meshes
 from bunraku_lab.training.apparel.refinement import (
     RefinementConfig,
     RefinementNetwork,
@@ -39,13 +39,6 @@ from bunraku_lab.training.apparel.refinement import (
     RefinementTrainer,
     seam_of,
     seam_sample,
-)
-from bunraku_lab.training.apparel.segmentation import (
-    SegmentationTrainConfig,
-    SegmentationTrainer,
-    build_meshes,
-    mask_iou,
-    varied,
 )
 
 
@@ -110,40 +103,6 @@ def test_displacement_learns_one_clip(bank, tmp_path):
     assert np.mean(losses[-8:]) < 0.8 * np.mean(losses[:8])
 
 
-def test_the_mask_is_learned(meshes, tmp_path):
-    config = SegmentationTrainConfig(
-        out=tmp_path, minutes=0, steps=80, batch=2, warmup=5, rate=5e-3, network=SegmentationConfig(16, 1)
-    )
-    trainer = SegmentationTrainer(config, meshes, meshes)
-    trainer.train_step()
-    before = trainer.validate()["iou"]
-    for _ in range(79):
-        trainer.train_step()
-    results = trainer.validate()
-    assert results["iou"] > max(before, 0.3)
-    path = trainer.save(results)
-    assert torch.equal(SegmentationNetwork.load(path).mean, trainer.average.mean)
-    again = SegmentationTrainer(config, meshes, meshes)
-    assert again.resume() and again.step == 80
-
-
-def test_a_varied_character_is_one_still(meshes):
-    random = np.random.default_rng(1)
-    sample = meshes[0]
-    for _ in range(6):
-        other = varied(sample, random)
-        mesh = other.mesh
-        assert len(mesh.points) == len(other.apparel) == len(other.weights) <= len(sample.apparel)
-        assert mesh.features.shape == (len(mesh.points), sample.mesh.features.shape[1])
-        assert (mesh.part[mesh.neighbours] == mesh.part[:, None]).all()
-        np.testing.assert_allclose(
-            mesh.points[:, 1], sample.mesh.points[np.searchsorted(sample.mesh.clean, mesh.clean), 1]
-        )
-    same = sample.mesh
-    again = point_features(same.points, same.features[:, 3:6], same.joints, same.part)
-    np.testing.assert_allclose(again, same.features, atol=1e-4)  # places are kept in single precision
-
-
 def test_the_recurrent_part_goes_about_a_trained_head(bank, tmp_path):
     shape = DisplacementConfig(8, 1, 0)
     config = DisplacementTrainConfig(out=tmp_path / "a", minutes=0, steps=3, head=1.0, batch=2, warmup=1, network=shape)
@@ -168,11 +127,6 @@ def test_the_recurrent_part_goes_about_a_trained_head(bank, tmp_path):
         assert torch.allclose(value, head[name], atol=1e-3)
     with pytest.raises(OptionError, match="another shape"):
         DisplacementTrainer(replace(second, network=DisplacementConfig(16, 1, 8)), bank)
-
-
-def test_overlap_by_hand():
-    assert mask_iou(np.array([1, 1, 0, 0]) > 0, np.array([0, 1, 1, 0]) > 0) == pytest.approx(1 / 3)
-    assert mask_iou(np.zeros(3, bool), np.zeros(3, bool)) == 1
 
 
 def test_the_body_is_learned(meshes, data, tmp_path):

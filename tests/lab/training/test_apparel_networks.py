@@ -8,14 +8,13 @@ import torch
 from scipy.sparse.csgraph import dijkstra
 
 from bunraku.apparel.clothed import SIZE, ClothedCharacter
-from bunraku.apparel.learned.segmentation import SegmentationConfig, sampled_mesh
 from bunraku.apparel.nodes import apparel_parts
 from bunraku.core.body.layout import JOINT_COUNT
 from bunraku.core.body.reference import reference_body
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
-from bunraku_lab.nn.apparel import SegmentationNetwork, mesh_block
 from bunraku_lab.nn.graph import node_graph
 from bunraku_lab.training.apparel.body import BodyConfig, BodyNetwork
+from bunraku_lab.training.apparel.meshes import joint_distances, sampled_mesh
 from bunraku_lab.training.apparel.refinement import (
     BASIS,
     FREE,
@@ -24,7 +23,6 @@ from bunraku_lab.training.apparel.refinement import (
     refined,
     seam_of,
 )
-from bunraku_lab.training.apparel.segmentation import joint_distances
 from bunraku_lab.training.losses.motion import edge_loss, mask_loss, smoothness_loss, vertex_loss
 
 
@@ -46,7 +44,7 @@ def test_weights_add_up(geodesics, tmp_path):
     torch.manual_seed(0)
     network = BodyNetwork(BodyConfig(features=4, width=16, geodesics=geodesics))
     graph = node_graph([mesh.neighbours], [mesh.part])
-    points, normals = torch.from_numpy(mesh.points), torch.from_numpy(mesh.features[:, 3:6])
+    points, normals = torch.from_numpy(mesh.points), torch.from_numpy(mesh.normals)
     with torch.no_grad():
         weights = network(points, normals, torch.from_numpy(mesh.joints)[None], distances, graph)
     assert weights.shape == (len(mesh.points), JOINT_COUNT)
@@ -102,19 +100,6 @@ def test_layers_that_lie_on_one_another_are_joined_everywhere():
     distances = joint_distances(np.concatenate(tubes), both, joints, mesh.clean)
     height = np.abs(mesh.points[:, 1:2] - mesh.joints[:, 1])
     assert np.abs(distances - height).max() < 0.08  # straight along the tube, whatever side or layer a point is on
-
-
-def test_probabilities_are_the_sigmoid_of_the_scores(tmp_path):
-    body = reference_body()
-    features, graph = mesh_block([sampled_mesh(body.vertices, body.faces, body.joints, 150)] * 2)
-    torch.manual_seed(0)
-    network = SegmentationNetwork(SegmentationConfig(16, 1)).eval()
-    with torch.no_grad():
-        likely, scores = network(features, graph), network.scores(features, graph)
-    np.testing.assert_allclose(likely, 1 / (1 + np.exp(-scores[:, 0].numpy())), rtol=1e-5)
-    np.testing.assert_allclose(likely[:150], likely[150:], rtol=1e-5)  # meshes do not hear of one another
-    again = SegmentationNetwork.load(network.save(tmp_path / "mask.safetensors"))
-    assert torch.equal(again(features, graph), likely)
 
 
 def test_parts_of_apparel():

@@ -15,7 +15,7 @@ from bunraku.anatomy.handles.predict import predict_handles
 from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.apparel.fitting import fitted_clothes
 from bunraku.apparel.learned.network import DisplacementNetwork
-from bunraku.apparel.learned.segmentation import find_apparel
+from bunraku.apparel.parts import find_parts
 from bunraku.core.body.layout import HANDLE_NAMES, HANDLE_PARENTS, JOINT_NAMES
 from bunraku.core.character import Character
 from bunraku.core.geometry.graph import unique_edges
@@ -265,12 +265,10 @@ MOST = 2000  # vertices that distances are taken of
 
 
 def mask_scores(clip: TrueClip, masks: Path | None = None) -> dict[str, float]:
-    """Intersection over union of the mask that is found, and the mean error of log10 stiffness of apparel."""
+    """Intersection over union of the mask that is found."""
     clothed = clip.clothed
-    found = find_apparel(clothed.rest, clothed.faces, clothed.joints, masks)
-    both, any_ = (found.mask & clothed.apparel).sum(), (found.mask | clothed.apparel).sum()
-    error = np.abs(found.stiffness - clothed.stiffness[clothed.part])[clothed.apparel].mean()
-    return {"iou": float(both / max(any_, 1)), "stiffness": float(error)}
+    mask = find_parts(clothed.rest, clothed.faces, checkpoint=masks).mask
+    return {"iou": float((mask & clothed.apparel).sum() / max((mask | clothed.apparel).sum(), 1))}
 
 
 def module_row(
@@ -284,8 +282,7 @@ def module_row(
     """
     true = clip.clothed
     guessed, weights = clothed_by_mask(true, masks, body)
-    found = find_apparel(true.rest, true.faces, true.joints, masks)
-    given = fitted_clothes(true.rest, true.faces, true.joints, weights, true.apparel, found.stiffness, found.damping)
+    given = fitted_clothes(true.rest, true.faces, true.joints, weights, true.apparel)
     frames = np.arange(0, len(clip.transforms), STRIDE)
     short = replace(clip, transforms=clip.transforms[frames], offsets=clip.offsets[frames])
     truth = short.truth(np.arange(len(true.rest)))

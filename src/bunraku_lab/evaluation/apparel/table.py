@@ -64,7 +64,7 @@ class ApparelEvalConfig:
         whole: Of those, how many have all their vertices measured, by each module and beside other methods.
         least: Characters; where the data set has fewer, one clip of each counts, and others are simulated.
         weights: Displacement network, of files with parameters and of those whose parameters are guessed.
-        masks: Segmentation network.
+        masks: Part network.
         bodies: Body networks; Table 3 takes the first.
         refinement: Joint refinement of Table 3.
         baselines: Folder of the weights of Neural Blend Shapes and SPT, for their rows beside ours.

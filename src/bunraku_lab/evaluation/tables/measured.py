@@ -81,7 +81,7 @@ MMDMC: tuple[PaperTable, ...] = (
 
 PAPERS: dict[str, tuple[PaperTable, ...]] = {"tapmo": TAPMO, "mmdmc": MMDMC}
 _NETWORKS = ("diffusion", "extractor", "ranker", "critic", "handles")
-_APPAREL = ("apparel", "apparel-guessed", "apparel-mask", "apparel-body", "apparel-refinement")
+_APPAREL = ("apparel", "apparel-guessed", "parts", "apparel-body", "apparel-refinement")
 _MEASURES = {
     "R-Precision 1": "r_precision_1", "R-Precision 3": "r_precision_3", "FID": "fid", "MM-Dist": "mm_dist",
     "Diversity": "diversity", "MModality": "multimodality",

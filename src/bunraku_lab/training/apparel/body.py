@@ -17,14 +17,14 @@ from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.apparel.fitting import fitted_clothes
 from bunraku.apparel.learned.network import DisplacementNetwork
 from bunraku.apparel.learned.player import ApparelPlayer
-from bunraku.apparel.learned.segmentation import find_apparel, sampled_mesh
+from bunraku.apparel.parts import find_parts
 from bunraku.core.body.layout import JOINT_COUNT, JOINT_PARENTS
 from bunraku.core.nn.checkpoints import dated
 from bunraku.core.skinning import skin
 from bunraku.errors import OptionError
 from bunraku_lab.nn.checkpoints import SavedNetwork, lab_checkpoint
 from bunraku_lab.nn.graph import EdgeBlock, NodeGraph, node_graph
-from bunraku_lab.training.apparel.segmentation import MeshSample, build_meshes, joint_distances
+from bunraku_lab.training.apparel.meshes import MeshSample, build_meshes, joint_distances, sampled_mesh
 from bunraku_lab.training.losses.motion import edge_loss, smoothness_loss, vertex_loss
 from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings
 
@@ -161,7 +161,7 @@ def body_weights(
     geodesics = joint_distances(vertices, faces, joints, mesh.clean)
     with torch.no_grad():
         weights = model(
-            torch.from_numpy(mesh.points), torch.from_numpy(mesh.features[:, 3:6]),
+            torch.from_numpy(mesh.points), torch.from_numpy(mesh.normals),
             torch.from_numpy(mesh.joints)[None],
             torch.from_numpy(geodesics),
             node_graph([mesh.neighbours], [mesh.part]),
@@ -178,16 +178,15 @@ def clothed_by_mask(
 
     Args:
         true: The character.
-        masks: Segmentation network; the shipped one when not given.
+        masks: Part network; the shipped one when not given.
         body: Body network; the shipped one when not given.
 
     Raises:
         WeightsError: A network is missing or broken.
     """
     weights = body_weights(true.rest, true.faces, true.joints, body)
-    found = find_apparel(true.rest, true.faces, true.joints, masks)
-    guessed = fitted_clothes(true.rest, true.faces, true.joints, weights, found.mask, found.stiffness, found.damping)
-    return guessed, weights
+    mask = find_parts(true.rest, true.faces, checkpoint=masks).mask
+    return fitted_clothes(true.rest, true.faces, true.joints, weights, mask), weights
 
 
 def tiled(
@@ -220,7 +219,7 @@ class BodyTrainConfig(StepSettings):
 
     Args:
         data: Folder that `bunraku data apparel` wrote, whose motions give the poses.
-        meshes: Folder of sampled meshes, those of `bunraku train apparel-mask`.
+        meshes: Folder of sampled meshes, made where there are none.
         characters: How many characters of the wardrobe.
         poses: Poses of each.
         edges: Weight of Eq. 9; the paper's is 100, in its units.
@@ -288,7 +287,7 @@ class BodyTrainer(AveragedRun[BodyNetwork]):
         """Predicted weights of all points of meshes, and their graph."""
         graph = node_graph([one.mesh.neighbours for one in meshes], [one.mesh.part for one in meshes])
         points = torch.from_numpy(np.concatenate([one.mesh.points for one in meshes]))
-        normals = torch.from_numpy(np.concatenate([one.mesh.features[:, 3:6] for one in meshes]))
+        normals = torch.from_numpy(np.concatenate([one.mesh.normals for one in meshes]))
         joints = torch.from_numpy(np.stack([one.mesh.joints for one in meshes]))
         geodesics = torch.from_numpy(np.concatenate([one.geodesics for one in meshes]))
         return model(points, normals, joints, geodesics, graph), graph

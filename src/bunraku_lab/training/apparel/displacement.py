@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from bunraku.apparel.clothed import ClothedCharacter, Swing
+from bunraku.apparel.clothed import NORMAL_DAMPING, NORMAL_STIFFNESS, ClothedCharacter, Swing
 from bunraku.apparel.learned.features import static_features
 from bunraku.apparel.learned.network import DisplacementConfig
-from bunraku.apparel.learned.segmentation import find_apparel
 from bunraku.apparel.nodes import apparel_nodes, clothed_with_springs, part_neighbours
 from bunraku.core.files import remove_leftovers
 from bunraku.errors import BunrakuError, FormatError, OptionError
@@ -138,15 +137,9 @@ def _complete(found: BankCharacter, frames: int) -> bool:
 
 
 def guessed_clothed(clothed: ClothedCharacter) -> ClothedCharacter:
-    """A character whose stiffness and damping the shipped mask network guesses, as those of bare meshes."""
-    found = find_apparel(clothed.rest, clothed.faces, clothed.joints)
-    count = np.maximum(np.bincount(clothed.part[clothed.apparel], minlength=len(clothed.stiffness)), 1)
-
-    def mean(values: np.ndarray) -> np.ndarray:
-        total = np.bincount(clothed.part[clothed.apparel], values[clothed.apparel], len(clothed.stiffness))
-        return np.asarray(total / count, np.float32)
-
-    return replace(clothed, stiffness=mean(found.stiffness), damping=mean(found.damping), limit=None, swing=None)  # type: ignore[arg-type]
+    """A character whose stiffness and damping are those of bare meshes."""
+    flat = np.ones(len(clothed.stiffness), np.float32)
+    return replace(clothed, stiffness=NORMAL_STIFFNESS * flat, damping=NORMAL_DAMPING * flat, limit=None, swing=None)  # type: ignore[arg-type]
 
 
 def _write(data: ApparelData, clips: list[ApparelClip], path: Path, most: int, known: bool = True) -> None:

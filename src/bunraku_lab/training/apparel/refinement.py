@@ -245,7 +245,7 @@ class RefinementTrainConfig(StepSettings):
     Args:
         data: Folder that `bunraku data apparel` wrote.
         weights: Displacement network; the shipped one when not given.
-        masks: Segmentation network; the shipped one when not given.
+        masks: Part network; the shipped one when not given.
         body: Body network; the shipped one when not given.
         characters: How many characters of the data set.
         edges: Weight of the edge loss against the vertex loss; the paper's is 100, in its units.
