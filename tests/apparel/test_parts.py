@@ -9,11 +9,12 @@ import pytest
 
 from bunraku.anatomy.handles.predict import predict_handles
 from bunraku.apparel.part_network import PARTS
-from bunraku.apparel.parts import SUFFIX, handles_of_body, parts_of, save_parts, with_part
+from bunraku.apparel.parts import handles_of_body, part_point, parts_of, with_part
+from bunraku.core.body.corrections import SUFFIX, Corrections, Piece
 from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.body.reference import reference_body
 from bunraku.core.character import Character
-from bunraku.errors import FormatError, OptionError
+from bunraku.errors import OptionError
 from bunraku.files import load_character, save_character
 from bunraku.files.samples import sample_character
 
@@ -41,8 +42,8 @@ def with_rods(kind: str, *rods) -> tuple[Character, np.ndarray]:
         vertices.append(points)
     count = sum(map(len, vertices))
     added = np.arange(count) >= len(body.vertices)
-    labels = np.where(added, PARTS.index(kind), 0).astype(np.int8)
-    return Character("rods", np.concatenate(vertices), np.concatenate(faces), parts=labels), added
+    said = Corrections(part=(Piece(kind, tuple(tuple(points.mean(axis=0).tolist()) for points, _ in rods)),))
+    return Character("rods", np.concatenate(vertices), np.concatenate(faces), corrections=said), added
 
 
 def test_tails_of_hair_are_no_limbs():
@@ -65,26 +66,24 @@ def test_a_staff_goes_as_a_whole_with_the_hand_that_holds_it():
     assert HANDLE_NAMES[int(weights[0].argmax())] in ("left_wrist", "left_fingers")
 
 
-def test_a_part_has_the_kind_that_it_is_given_and_the_file_beside_keeps_it(tmp_path):
+def test_a_part_has_the_kind_that_it_is_given_also_from_the_file_beside(tmp_path):
     dancer = sample_character("dancer")
     parts = parts_of(dancer)
     number = parts.kinds.index("skirt")
-    assert parts.carriers[number] == "pelvis" and parts.hangs[parts.number == number].mean() > 0.8
-    stiff = with_part(dancer, number, "accessory")
     mine = parts.number == number
-    assert (parts_of(stiff).label[mine] == PARTS.index("accessory")).all() and not parts_of(stiff).hangs[mine].any()
-    assert parts_of(stiff).hangs[parts.hangs & ~mine].all()
+    assert parts.carriers[number] == "pelvis" and parts.hangs[mine].mean() > 0.8
+    stiff = parts_of(with_part(dancer, number, "accessory"))
+    assert (stiff.label[mine] == PARTS.index("accessory")).all() and not stiff.hangs[mine].any()
+    assert stiff.hangs[parts.hangs & ~mine].all()
     path = save_character(dancer, tmp_path / "dancer.glb")
-    read = load_character(path)
-    save_parts(parts_of(read).labels_with(number, "cape"), path.with_name("dancer" + SUFFIX))
-    assert "cape" in parts_of(read).kinds and "skirt" not in parts_of(read).kinds
+    at = list(part_point(dancer, parts, number))
+    path.with_name(f"dancer{SUFFIX}").write_text(f'[[part]]\nkind = "cape"\nat = [{at}]\n')
+    told = parts_of(load_character(path))
+    assert "cape" in told.kinds and "skirt" not in told.kinds
     with pytest.raises(OptionError, match="kind of part"):
-        parts.labels_with(number, "wig")
+        with_part(dancer, number, "wig")
     with pytest.raises(OptionError, match="no part"):
-        parts.labels_with(99, "cape")
-    path.with_name("dancer" + SUFFIX).write_bytes(b"no")
-    with pytest.raises(FormatError):
-        parts_of(read)
+        with_part(dancer, 99, "cape")
 
 
 def test_what_is_found_has_no_holes():

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from bunraku.anatomy.handles.limbs import FAMILIES, SIDES, limb_handles
 from bunraku.anatomy.joints import Joints, find_joints
 from bunraku.anatomy.rest_pose import upright
+from bunraku.core.body.corrections import CLOTHES
 from bunraku.core.body.layout import HANDLE_INDEX, HANDLE_NAMES, HANDLE_PARENTS, handle_names
 from bunraku.core.body.reference import handle_positions, reference_body
 from bunraku.core.character import Character, Handles
@@ -145,11 +146,15 @@ def corrected_handles(character: Character, handles: Handles) -> Handles:
         change = np.minimum(np.abs(new - old).sum(axis=1, keepdims=True), 1)
         weights = (1 - change) * weights + change * new
     label, props = _labels(character, replace(handles, weights=_rows(weights))), np.zeros(len(weights), bool)
-    pieces = [(piece.kind, _around(character, label, piece.at)) for piece in said.part if piece.kind != "ground"]
+    pieces = [
+        (piece.kind, _around(character, label, piece.at))
+        for piece in said.part
+        if piece.kind not in ("ground", *CLOTHES)
+    ]
     for kind, rows in pieces:
-        props |= rows if kind == "prop" else False
+        props |= rows if kind in ("prop", "accessory") else False
     for kind, rows in pieces:
-        if kind == "prop":
+        if kind in ("prop", "accessory"):
             weights[rows] = _carried(character, weights, rows, props)
         else:
             weights[rows] = _of_kind(character, weights, kind, rows, moved, handles)

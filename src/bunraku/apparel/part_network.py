@@ -3,8 +3,7 @@ says of each point.
 
 The network is a hierarchy of points (PointNet++, Qi et al. 2017) with a transformer over the coarsest. The first
 `CENTRES` points cover the surface evenly, and the first `TOKENS` of those cover it coarsely. Points gather from their
-neighbours on the way up, and answers come back down by interpolation. Here it runs without torch;
-`bunraku_lab.nn.parts` is what is trained, and a test holds the numbers of each to the other.
+neighbours on the way up, and answers come back down by interpolation. Here it runs without torch.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -15,20 +15,16 @@ import numpy as np
 from scipy.sparse import csr_matrix, diags
 from scipy.spatial import cKDTree
 
-from bunraku.apparel.mask import file_beside
 from bunraku.apparel.part_network import CARRIERS, PARTS, PartNetwork, PartPoints, load_parts, loose_parts, part_points
-from bunraku.core.arrays import read_npy
+from bunraku.core.body.corrections import Corrections, Piece
 from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.character import Character, Handles
-from bunraku.core.files import atomic_write, read_bounded
 from bunraku.core.geometry.curves import smooth_step
 from bunraku.core.geometry.graph import clean_mesh, mesh_parts, unique_edges
 from bunraku.core.nn.checkpoints import dated_checkpoint
 from bunraku.core.nn.layers import one_thread, sigmoid, softmax
-from bunraku.errors import FormatError, OptionError
+from bunraku.errors import OptionError
 
-SUFFIX = ".parts.npy"
-"""Of the file beside a character's that says the kind of each vertex, a number in `PARTS`."""
 BODY = PARTS.index("body")
 HANGING = tuple(PARTS.index(name) for name in ("hair", "skirt", "cape", "sleeve", "tail"))
 """Kinds that hang; what is held or worn is stiff."""
@@ -45,6 +41,7 @@ LEAST = 5e-4  # of the surface: smaller parts belong to the body; chosen by eye
 BORDER = 0.03  # over the size: so far from the body's surface a stiff part of one skin with it is not stiff yet; by eye
 BARE = 0.25  # of the surface: where less would be left of a body, its handles are those of the whole; chosen by eye
 HOLDING = 10  # percentile of distances: so much of a part, nearest to the body, says what holds it; chosen by eye
+LEAST_SHARE = 0.1  # of the weights about a part: a carrier that has less of them is not what holds it; chosen by eye
 KNOWN = 4  # characters whose parts stay in memory
 _HEAD = HANDLE_NAMES.index("head")
 
@@ -107,28 +104,15 @@ class Parts:
         hair = self.hangs & (self.label == PARTS.index("hair"))
         return np.asarray(hair | np.isin(self.label, (PARTS.index("prop"), PARTS.index("ground"))))
 
-    def labels_with(self, number: int, kind: str) -> np.ndarray:
-        """Labels in which a part has another kind, shape (V,): those of a character whose `parts` they become.
-
-        Raises:
-            OptionError: There is no such part or kind.
-        """
-        if kind not in PARTS:
-            raise OptionError(f"'{kind[:40]}' is no kind of part; take one of {', '.join(PARTS)}")
-        if not 0 <= number < len(self):
-            raise OptionError(f"there is no part {number}; the parts are numbered from 0 to {len(self) - 1}")
-        return np.where(self.number == number, PARTS.index(kind), self.label).astype(np.int8)
-
 
 _known: OrderedDict[bytes, FoundParts] = OrderedDict()
 
 
 def parts_of(character: Character) -> Parts:
-    """The parts of a character: those that it has, or the file beside its own says, or else the network finds.
+    """The parts of a character: those that the network finds, as a person corrected them.
 
     Raises:
         CharacterError: The mesh is broken.
-        FormatError: The file is broken or belongs to another mesh.
         WeightsError: The shipped weights are missing or broken.
     """
     colors = None if character.colors is None else character.colors / np.float32(255)
@@ -138,13 +122,12 @@ def parts_of(character: Character) -> Parts:
     _known[key] = found
     while len(_known) > KNOWN:
         _known.popitem(last=False)
-    said = character.parts
-    path = file_beside(character, (SUFFIX,)) if said is None else None
-    return _whole(character, found, said if path is None else _read(path, len(character.vertices)))
+    said = () if character.corrections is None else character.corrections.part
+    return _whole(character, found, said)
 
 
 def with_part(character: Character, number: int, kind: str) -> Character:
-    """A character one of whose parts is of another kind; everything that follows goes by that.
+    """A character one of whose parts is of another kind; all that follows goes by that.
 
     Args:
         character: Any mesh, +Y up and facing +Z.
@@ -154,24 +137,21 @@ def with_part(character: Character, number: int, kind: str) -> Character:
     Raises:
         OptionError: There is no such part or kind.
     """
-    return replace(character, parts=parts_of(character).labels_with(number, kind))
+    parts = parts_of(character)
+    if kind not in PARTS:
+        raise OptionError(f"'{kind[:40]}' is no kind of part; take one of {', '.join(PARTS)}")
+    if not 0 <= number < len(parts):
+        raise OptionError(f"there is no part {number}; the parts are numbered from 0 to {len(parts) - 1}")
+    said = character.corrections or Corrections()
+    piece = Piece(kind, (part_point(character, parts, number),))  # type: ignore[arg-type]
+    return replace(character, corrections=replace(said, part=(*said.part, piece)))
 
 
-def save_parts(labels: np.ndarray, path: Path) -> None:
-    """Write labels, shape (V,), as the file beside a character's that `parts_of` reads.
-
-    Raises:
-        FormatError: It cannot be written.
-    """
-    with atomic_write(path) as file:
-        np.save(file, np.asarray(labels, np.int8), allow_pickle=False)  # type: ignore[arg-type]
-
-
-def _read(path: Path, count: int) -> np.ndarray:
-    labels = read_npy(path, read_bounded(path))
-    if labels.shape != (count,) or not np.isin(labels, np.arange(len(PARTS))).all():
-        raise FormatError(path, f"it does not say the part of each of {count:,} vertices; remove it, or write it again")
-    return labels.astype(np.int8)
+def part_point(character: Character, parts: Parts, number: int) -> tuple[float, float, float]:
+    """The vertex of a part that is nearest to its middle [m], by which corrections name it."""
+    points = character.vertices[parts.number == number].astype(np.float64)
+    x, y, z = points[int(np.linalg.norm(points - points.mean(axis=0), axis=1).argmin())].tolist()
+    return x, y, z
 
 
 def find_parts(
@@ -235,9 +215,9 @@ def _spread(placed: np.ndarray, part: np.ndarray, seen: PartPoints, values: np.n
     return np.asarray((values[near] * weight[..., None]).sum(axis=1), np.float32)
 
 
-def _whole(character: Character, found: FoundParts, said: np.ndarray | None) -> Parts:
-    """Parts as connected pieces of the surface, without holes and islands; their kinds as labels say where there are
-    some, shape (V,).
+def _whole(character: Character, found: FoundParts, said: Sequence[Piece]) -> Parts:
+    """Parts as connected pieces of the surface, without holes and islands; those at the points of corrections have the
+    kinds that these say.
     """
     clean = clean_mesh(character.vertices, character.faces)
     count = len(clean.vertices)
@@ -246,21 +226,23 @@ def _whole(character: Character, found: FoundParts, said: np.ndarray | None) -> 
     area = np.bincount(clean.index, character.areas, count)
     values = _evened(np.column_stack([found.parts, found.hangs])[first], edges)
     label, hangs = values[:, :-1].argmax(axis=1), values[:, -1] > LIKELY
-    if said is None:
-        label = _filled(label, edges, area)
-    else:
-        changed = said[first] != label
-        label, hangs = np.asarray(said[first], np.int64), hangs | changed
-    hangs = _filled(np.where(np.isin(label, HANGING) & hangs, label, -1), edges, area) >= 0
-    hangs &= np.isin(label, HANGING)
+    label = _filled(label, edges, area)
+    piece = _pieces(clean.vertices, edges, label)
+    chosen = np.zeros(count, bool)
+    for correction in said:
+        if correction.kind in PARTS:
+            at = (np.asarray(correction.at) - clean.center) / clean.scale
+            rows = np.isin(piece, piece[cKDTree(clean.vertices).query(at)[1]])
+            label[rows], chosen[rows] = PARTS.index(correction.kind), True
+    hangs = np.isin(label, HANGING) & (hangs | chosen)
+    hangs = (_filled(np.where(hangs, label, -1), edges, area) >= 0) & np.isin(label, HANGING)
     number = np.full(count, -1)
-    same = edges[(label[edges[:, 0]] == label[edges[:, 1]]) & (label[edges[:, 0]] != BODY)]
-    piece = mesh_parts(np.concatenate([same, _touching(clean.vertices, label)]), count)
+    piece = _pieces(clean.vertices, edges, label)
     kinds, carriers = [], []
     rank = np.bincount(piece, np.where(label == BODY, 0, area))
     votes = np.stack([np.bincount(piece, area * column) for column in found.carriers[first].T], axis=1)
     for part in np.argsort(-rank, kind="stable"):
-        if rank[part] < (LEAST if said is None else 1e-9) * area.sum():
+        if rank[part] < LEAST * area.sum():
             break
         rows = piece == part
         number[rows] = len(kinds)
@@ -304,6 +286,12 @@ def _filled(label: np.ndarray, edges: np.ndarray, area: np.ndarray) -> np.ndarra
     return out
 
 
+def _pieces(points: np.ndarray, edges: np.ndarray, label: np.ndarray) -> np.ndarray:
+    """Number of the connected piece of one label of each point, shape (P,); loose ones that nearly touch are one."""
+    same = edges[label[edges[:, 0]] == label[edges[:, 1]]]
+    return mesh_parts(np.concatenate([same, _touching(points, label)]), len(points))
+
+
 def _touching(points: np.ndarray, label: np.ndarray) -> np.ndarray:
     """Pairs of points of one kind, not the body's, that nearly touch, shape (E, 2)."""
     rows = np.flatnonzero(label != BODY)
@@ -329,10 +317,10 @@ _HANDLES = np.array([[name in limb for name in HANDLE_NAMES] for limb in _LIMBS]
 
 def carried_by(carrier: str, weights: np.ndarray) -> int:
     """The handle or joint of a carrier that has most of some weights (K,) of the layout's first K; of any where the
-    carrier has none of them.
+    carrier has next to none of them.
     """
     own = weights * _HANDLES[CARRIERS.index(carrier), : len(weights)]
-    return int((own if own.sum() > 1e-3 * weights.sum() else weights).argmax())
+    return int((own if own.sum() > LEAST_SHARE * weights.sum() else weights).argmax())
 
 
 def handles_of_body(character: Character, predict: Callable[[Character], Handles]) -> Handles:

@@ -7,7 +7,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 from bunraku.core.body.layout import HANDLE_INDEX
 from bunraku.core.files import atomic_write, read_bounded
@@ -17,8 +17,14 @@ from bunraku.errors import FormatError, OptionError
 
 SUFFIX = ".body.toml"
 """hero.body.toml corrects hero.glb."""
-Kind = Literal["body", "arm", "leg", "head", "tail", "wing", "hair", "prop", "ground"]
-"""What a piece can be: hair goes with the head, a prop with what it touches, and the ground stands still."""
+Kind = Literal[
+    "body", "arm", "leg", "head", "tail", "wing", "hair", "prop", "ground", "skirt", "cape", "sleeve", "accessory"
+]
+"""What a piece can be: hair goes with the head, a prop or an accessory with what it touches, the ground stands still,
+and clothes swing.
+"""
+CLOTHES = ("skirt", "cape", "sleeve")
+"""Kinds that change nothing of the body below them."""
 _Metres = Annotated[float, Limit("a coordinate", -1e6, 1e6)]  # by definition: farther out a float32 is too coarse
 Point = tuple[_Metres, _Metres, _Metres]
 
@@ -130,7 +136,7 @@ def write_corrections(
     for piece in said.part:
         points = ", ".join(map(numbers, piece.at))
         lines += ["", "[[part]]", f"kind = {json.dumps(piece.kind)}", f"at = [{points}]"]
-    lines += ["", "# Kinds: body, arm, leg, head, tail, wing, hair, prop, ground"]
+    lines += ["", "# Kinds: " + ", ".join(get_args(Kind))]
     for kind, point in pieces:
         lines += ["# [[part]]", f"# kind = {json.dumps(kind)}", f"# at = [{numbers(point)}]"]
     with atomic_write(path) as file:
