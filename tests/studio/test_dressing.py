@@ -268,9 +268,11 @@ def test_rows_of_the_page_are_vertices_of_the_character(tmp_path):
     save_character(make_sample("dancer", 0.3), tmp_path / "dancer.glb")
     character = load_character(tmp_path / "dancer.glb")
     found = character.vertices[:, 1] > 0.5
-    save_worn(character, found, tmp_path / WORN)
+    labels = np.where(found, 2, 0)
+    save_worn(character, found, tmp_path / WORN, labels)
     bits, rows = parts_of((tmp_path / WORN).read_bytes())
     np.testing.assert_array_equal(bits, found)
+    np.testing.assert_array_equal(np.frombuffer((tmp_path / WORN).read_bytes()[-len(found) :], np.uint8), labels)
     save_character(character, tmp_path / "mesh.glb")
     document = read_gltf(tmp_path / "mesh.glb", (tmp_path / "mesh.glb").read_bytes()).source.document
     drawn = {

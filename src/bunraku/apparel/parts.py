@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_matrix, diags
@@ -145,6 +146,21 @@ def with_part(character: Character, number: int, kind: str) -> Character:
     said = character.corrections or Corrections()
     piece = Piece(kind, (part_point(character, parts, number),))  # type: ignore[arg-type]
     return replace(character, corrections=replace(said, part=(*said.part, piece)))
+
+
+def part_facts(character: Character) -> list[dict[str, Any]]:
+    """The parts of a character in values that JSON can say, the largest first: kind, what carries it, a point on it
+    [m], by which corrections name it, and its share of the surface.
+    """
+    parts, areas = parts_of(character), character.areas
+    share = np.bincount(parts.number + 1, areas, len(parts) + 1)[1:] / max(float(areas.sum()), 1e-30)
+    return [
+        {
+            "kind": kind, "carrier": parts.carriers[number], "area": round(min(float(share[number]), 1.0), 4),
+            "at": [round(value, 4) for value in part_point(character, parts, number)],
+        }
+        for number, kind in enumerate(parts.kinds)
+    ]  # fmt: skip
 
 
 def part_point(character: Character, parts: Parts, number: int) -> tuple[float, float, float]:

@@ -233,7 +233,7 @@ class Inspect:
         if "body_joints" not in facts:
             raise CharacterError(f"{self.file}: no body is found in it; leave out --body")
         axes = facts["orientation"]["taken_up"], facts["orientation"]["taken_front"]
-        pieces = [(piece["kind"], piece["at"]) for piece in facts["pieces"]]
+        pieces = [(piece["kind"], piece["at"]) for piece in (*facts["pieces"], *facts["dress"])]
         said = read_corrections(self.file) or Corrections()
         write_corrections(path, said, axes, facts["body_joints"], pieces)
         self._wrote(path, SUFFIX)
@@ -294,14 +294,15 @@ def _body(character: Character, up: str, front: str, unit: str) -> dict[str, Any
     from bunraku.anatomy.handles.predict import predict_handles
     from bunraku.anatomy.scene import separated
     from bunraku.apparel.chains.moving import moving_rig
+    from bunraku.apparel.parts import handles_of_body, part_facts
     from bunraku.files import in_metres, rotated
     from bunraku.pipelines.bodies import body_facts
 
     try:
         in_unit = in_metres(rotated(character, up, front), "auto" if unit == "auto" else "m", "+y")[0]
         standing, lines = separated(in_unit)
-        anatomy = Anatomy.of(standing, corrected_handles(standing, predict_handles(standing)))
-        found = body_facts(anatomy)
+        anatomy = Anatomy.of(standing, corrected_handles(standing, handles_of_body(standing, predict_handles)))
+        found, dress = body_facts(anatomy), part_facts(standing)
     except (WeightsError, CharacterError) as error:
         return {"body": None, "body_note": str(error)}
     parts = [{"name": part.name, "area": round(part.area, 4), "clear": round(part.sure, 3)} for part in found.parts]
@@ -309,8 +310,8 @@ def _body(character: Character, up: str, front: str, unit: str) -> dict[str, Any
     facts |= {"body": found.plan.words, "parts": parts, "cannot": list(found.cannot)}
     facts |= {
         "body_joints": joint_facts(anatomy.handles, anatomy.joints),
-        "pieces": piece_facts(standing, anatomy.handles),
-    }
+        "pieces": piece_facts(standing, anatomy.handles), "dress": dress,
+    }  # fmt: skip
     return facts if moving_rig(character) is not None else facts | shape_facts(anatomy)  # the file has no apparel
 
 
@@ -512,6 +513,9 @@ _WORDS: dict[str, Callable[[Any], str]] = {
     "mapping": _mapping_words,
     "parts": lambda value: ", ".join(f"{part['name']} ({100 * part['clear']:.0f} % clear)" for part in value),
     "body_joints": lambda value: _short(list(value)),
+    "dress": lambda value: _short(
+        [f"{piece['kind']} on the {piece['carrier']} ({100 * piece['area']:.0f} %)" for piece in value]
+    ),
     "pieces": lambda value: _short([f"{piece['kind']} ({100 * piece['area']:.0f} %)" for piece in value]),
     "beside": lambda value: "; ".join(value),
     "apparel": lambda value: _short([say_part(part) for part in value]),

@@ -31,19 +31,22 @@ WORN = "worn.bin"
 _MAGIC = b"BNRM"
 
 
-def save_worn(character: Character, found: np.ndarray | None, path: Path) -> None:
+def save_worn(character: Character, found: np.ndarray | None, path: Path, labels: np.ndarray | None = None) -> None:
     """Write what was found, and which vertices the page draws: `BNRM`, the length of a JSON header, the header
-    (`vertices`, and `parts`: mesh, primitive, rows), `packed_bits` of the mask, and for each primitive the vertex of
-    the character that each of its rows is, uint32.
+    (`vertices`, `parts`: mesh, primitive, rows, and `kinds`), `packed_bits` of the mask, for each primitive the vertex
+    of the character that each of its rows is, uint32, and where there are kinds the one of each vertex, uint8.
 
     Args:
         character: The character.
         found: Vertices that are apparel, shape (V,), bool; None where that is not known.
         path: The file.
+        labels: Number of the kind of part of each vertex (`PARTS`), shape (V,); None where that is not known.
 
     Raises:
         FormatError: It cannot be written.
     """
+    from bunraku.apparel.part_network import PARTS
+
     source = document_of(character)
     parts: list[dict[str, int]] = []
     rows: list[np.ndarray] = []
@@ -60,11 +63,13 @@ def save_worn(character: Character, found: np.ndarray | None, path: Path) -> Non
             rows.append(index.astype("<u4"))
         mesh += 1
     count = len(character.vertices)
-    words = json.dumps({"vertices": count, "parts": parts}).encode()
+    kinds = [] if labels is None else list(PARTS)
+    words = json.dumps({"vertices": count, "parts": parts, "kinds": kinds}).encode()
     words += b" " * (-len(words) % 4)
     bits = packed_bits(np.zeros(count, bool) if found is None else found)
     with atomic_write(path) as file:
         file.write(b"".join([_MAGIC, struct.pack("<I", len(words)), words, bits, *(row.tobytes() for row in rows)]))
+        file.write(b"" if labels is None else labels.astype(np.uint8).tobytes())
 
 
 def packed_bits(mask: np.ndarray) -> bytes:

@@ -76,6 +76,11 @@ class _Piece:
 
 
 @dataclass(frozen=True)
+class _Dress(_Piece):
+    carrier: str
+
+
+@dataclass(frozen=True)
 class _Body:
     joints: tuple[_Joint, ...]
     parts: tuple[_Piece, ...]
@@ -107,6 +112,7 @@ class _CharacterFacts:
     positions: tuple[_Point, ...] = ()
     used: tuple[_Index, ...] = ()
     ends: tuple[_End, ...] = ()
+    dress: tuple[_Dress, ...] = ()
     clips: tuple[str, ...] = ()
     chains: tuple[_Chain, ...] = ()
     unchained: str = ""

@@ -102,20 +102,21 @@ def apparel_facts(character: Character, anatomy: Anatomy, worn: Path, painted: b
     Raises:
         FormatError: That cannot be written.
     """
+    from bunraku.apparel.parts import part_facts, parts_of
     from bunraku.retarget.pins import limb_ends
     from bunraku.studio.dressing import apparel_mask_of, has_apparel, save_worn
 
+    mask, labels, kinds = None, None, []
     try:
-        mask = apparel_mask_of(character)
+        mask, labels, kinds = apparel_mask_of(character), parts_of(character).label, part_facts(character)
     except Exception:  # a character opens even where its clothes cannot be found
         _log.exception("apparel could not be looked for")
-        mask = None
     if not worn.is_file() or not painted:
-        save_worn(character, mask, worn)
+        save_worn(character, mask, worn, labels)
     ends = [
         {"part": end.part, "handle": end.handle, "point": np.round(end.point, 5).tolist()} for end in limb_ends(anatomy)
     ]
-    return {"apparel": has_apparel(mask), "ends": ends}
+    return {"apparel": has_apparel(mask), "ends": ends, "dress": kinds}
 
 
 def character_facts(character: Character, handles: Handles) -> dict[str, Any]:
