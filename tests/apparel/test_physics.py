@@ -88,6 +88,23 @@ def test_a_pendulum_on_a_bone_that_is_shaken_swings_as_its_equation_says():
     assert not found.report.recoveries
 
 
+def test_the_air_slows_what_is_whirled_and_leaves_a_walk_alone():
+    doll = character([[0, 2, 0], [0, 2, 0]], [-1, 0])
+    bodies = body("root", 0, [0, 2, 0], 0), body("ball", 1, [0, 1.4, 0])
+    rig = ApparelRig(bodies, (joint(0, 1, [0, 2, 0]),))
+
+    def turns(wide: float, **air: float) -> np.ndarray:
+        animation = still(doll, 61)
+        moved = animation.translations.copy()
+        moved[:, 0, 0] = wide * (1 - np.cos(9 * np.arange(61) / 30))
+        settings = replace(PhysicsSettings(limbs=False), **air)
+        return simulate(replace(animation, translations=moved), rig, warmup=0, settings=settings).animation.rotations
+
+    np.testing.assert_array_equal(turns(0.1), turns(0.1, wind=0.0))
+    steps = [np.abs(np.diff(turns(0.6, **air)[:, 1], axis=0)).sum(axis=(1, 2)).mean() for air in ({}, {"wind": 0.0})]
+    assert steps[0] < 0.9 * steps[1]
+
+
 def test_a_turning_bone_takes_its_pendulum_along():
     """A pendulum off the axis of a bone that turns steadily leans outwards by the angle at which gravity balances
     it.

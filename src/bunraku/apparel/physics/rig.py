@@ -63,6 +63,9 @@ class PhysicsSettings:
         step: Longest time step [s].
         air: The largest rate at which bodies lose speed against the air [1/s]; more in a file is friction in the
             joints.
+        wind: Resistance of the air over a body's mass and speed, by the speed beyond `calm` [1/m]: loose hair of MMD
+            stood above the head in a spin of two turns a second without it.
+        calm: Speed up to which the air resists as `air` says [m/s]; walks and dances are hardly faster.
         most_rate: The largest rate at which bodies lose speed at all [1/s].
         least_ratio: Least damping of every joint, as a share of the critical one.
         fastest: Springs swing at most this fast [rad/s].
@@ -82,6 +85,8 @@ class PhysicsSettings:
     gravity: float = 98 * MMD_METRE
     step: float = 1 / 240
     air: float = 1.5
+    wind: float = 2.0
+    calm: float = 2.5
     most_rate: float = 30.0
     least_ratio: float = 0.15
     fastest: float = 75.0

@@ -385,7 +385,9 @@ class _Run:
         """Drag of the air, and gravity of bodies that have their own."""
         world, data = self.world, self.world.data
         turning, moving = self.velocity()
-        data.xfrc_applied[world.ids, :3] = self.mass * (world.pulls - world.drags[0] * moving)
+        beyond = np.maximum(np.linalg.norm(moving, axis=1, keepdims=True) - self.settings.calm, 0)
+        drag = world.drags[0] + self.settings.wind * beyond
+        data.xfrc_applied[world.ids, :3] = self.mass * (world.pulls - drag * moving)
         data.xfrc_applied[world.ids, 3:] = -self.moment * world.drags[1] * turning
 
     def velocity(self) -> tuple[np.ndarray, np.ndarray]:
