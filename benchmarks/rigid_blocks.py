@@ -150,7 +150,7 @@ def block_file(
         back = load_animation(animation.save(Path(folder) / "moved.glb"), fps=RATE)
     rig = back.character.rig
     assert rig is not None
-    names = handle_names(animation.handles)
+    names = handle_names(animation.handles.played)
     handle = np.array([names.index(name) if name in names else 0 for name in rig.names])
     rows = np.arange(len(rig.indices))
     label, joints = block_joints(handle[rig.indices[rows, rig.weights.argmax(axis=1)]], len(names))

@@ -101,7 +101,6 @@ provide(
     write_motion_npz="bunraku.pipelines.motions.humanoid:write_motion_npz",
     write_motion_vrma="bunraku.pipelines.motions.humanoid:write_humanoid_vrma",
     write_character_vmd="bunraku.pipelines.motions.humanoid:write_character_vmd",
-    check_mmd_character="bunraku.pipelines.motions.humanoid:check_character",
     write_html="bunraku.render.preview:write_html",
     save_preview="bunraku.render.preview:save_preview",
 )

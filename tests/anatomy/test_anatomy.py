@@ -215,7 +215,7 @@ def test_plain_handles_are_solved_once() -> None:
 
 
 def test_names_of_further_joints_say_what_they_are() -> None:
-    names = handle_names(two_bodies()[1])
+    names = handle_names(two_bodies()[1].played)
     assert names[H["head_top"]] == "left_hip_2" and names[H["tail_tip"]] == "right_foot_2" and names[0] == "pelvis"
     assert len(set(names)) == len(names)
 
@@ -224,7 +224,7 @@ def test_their_names_are_understood() -> None:
     handles = two_bodies()[1]
     count = len(HANDLE_NAMES)
     known = handle_of_joints(
-        handle_names(handles), np.array([-1, *[0] * (count - 1)]), handles.positions, np.ones(count)
+        handle_names(handles.played), np.array([-1, *[0] * (count - 1)]), handles.positions, np.ones(count)
     )
     assert known.tolist() == handles.played.tolist()
 

@@ -317,7 +317,7 @@ def test_bones_are_taken_where_they_are_smaller(body, tmp_path):
     player = Player(auto)
     assert "targets" not in player.tree["meshes"][0]["primitives"][0]
     names = [node["name"] for node in player.tree["nodes"]]
-    handles = handle_names(moved.animation.handles)
+    handles = handle_names(moved.animation.handles.played)
     assert names[: len(handles)] == list(handles) and "apparel_4" in names
     for frame in (5, 20):
         posed, wanted = player.vertices(frame / FPS), swinging.vertices([frame])[0]

@@ -42,7 +42,7 @@ LEAST = 0.004  # share of the surface above which a piece is listed
 
 def joint_facts(handles: Handles, joints: Joints) -> dict[str, list[float]]:
     """Positions of the joints that are there [m], by their names."""
-    names = handle_names(handles)
+    names = handle_names(handles.played)
     return {names[handle]: joints.positions[handle].round(4).tolist() for handle in np.flatnonzero(joints.present)}
 
 
@@ -98,7 +98,7 @@ def beside_as_said(character: Character, beside: np.ndarray) -> np.ndarray:
 
 def joint_numbers(character: Character, handles: Handles) -> dict[int, np.ndarray]:
     """Positions of the joints that are said [m], by their handles; CharacterError where the body has no such joint."""
-    said, names = character.corrections, handle_names(handles)
+    said, names = character.corrections, handle_names(handles.played)
     out = {}
     for name, point in ({} if said is None else said.joints).items():
         if name not in names:

@@ -410,13 +410,14 @@ def _kept(verb: Animate, path: Path) -> tuple[Body, Request]:
 
 def _ready(verb: Animate, request: Request, path: Path, report: Progress) -> tuple[Body, Request]:
     """A character as it is to be animated, and what is requested of it."""
+    from bunraku.core.avatars import MmdModel
     from bunraku.files import check_writer
 
     report("load", 0.0)
     character = verb.standing.load(path, clips=verb.fps)
     for output in verb.output:
         if output.suffix:
-            check_writer(output, character)
+            check_writer(output, mmd=isinstance(character.avatar, MmdModel))
     report("load", 1.0)
 
     from bunraku.pipelines.animator import Animator

@@ -305,12 +305,13 @@ def animation_of(pair: Pair, settings: Transfer, progress: Progress | None = Non
     """The motion of a pair on its character, apparel and all; BunrakuError where a file cannot be read, the two do not
     go together, or there is nothing to simulate.
     """
+    from bunraku.core.avatars import MmdModel
     from bunraku.files import check_writer
     from bunraku.pipelines.animator import Animator
     from bunraku.pipelines.transfer import transferred
 
     character, handles = character_of(pair.inputs[0], settings)
-    check_writer(pair.path, character)
+    check_writer(pair.path, mmd=isinstance(character.avatar, MmdModel))
     source = source_of(pair.inputs[1], settings)
     return transferred(Animator.shipped(progress), character, source, settings.request(handles, stages_of(settings)))
 

@@ -24,14 +24,14 @@ def checked(function: Callable[_Given, _Result]) -> Callable[_Given, _Result]:
 
     @functools.wraps(function)
     def call(*args: _Given.args, **kwargs: _Given.kwargs) -> _Result:
-        signature = _signature(function)
+        signature, known = _signature(function), function.__globals__
         for name, given in signature.bind(*args, **kwargs).arguments.items():
             annotation, kind = str(function.__annotations__.get(name, "object")), signature.parameters[name].kind
-            values = {name: given}
+            values, kinds = {name: given}, _parts(annotation)
             if kind in (inspect.Parameter.VAR_KEYWORD, inspect.Parameter.VAR_POSITIONAL):
                 values = given if isinstance(given, dict) else {f"{name}[{at}]": each for at, each in enumerate(given)}
             for label, value in values.items():
-                if not any(_fits(part, value, function.__globals__) for part in _parts(annotation)):
+                if type(value).__name__ not in kinds and not any(_fits(part, value, known) for part in kinds):
                     shown = repr(value) if isinstance(value, str | int | float | None) else type(value).__name__
                     raise OptionError(f"{label} must be {_named(annotation)}, not {shown[:60]}")
         return function(*args, **kwargs)

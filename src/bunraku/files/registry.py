@@ -429,13 +429,13 @@ def save(
     return _write(kind, path, options, thing)
 
 
-def check_writer(path: str | Path, character: Character | None = None, *, points: bool = False) -> None:
+def check_writer(path: str | Path, *, points: bool = False, mmd: bool = True) -> None:
     """Make sure, before anything is computed, that an animation can be written to a file.
 
     Args:
         path: The file.
-        character: Whose animation it is, where that is known: a VMD is of MMD models alone.
         points: Whether vertices also move on their own, as learned apparel does.
+        mmd: Whether it is of an MMD model, as a VMD must be.
 
     Raises:
         BunrakuError: An optional library is missing; the message names it.
@@ -444,8 +444,12 @@ def check_writer(path: str | Path, character: Character | None = None, *, points
     suffix = _suffix_of(Path(path), "points" if points else "animation")
     if suffix in _USD:
         _resolve("bunraku.files.usd:check_available")()
-    if suffix == ".vmd" and character is not None:
-        provided("check_mmd_character")(character, Path(path))
+    if suffix == ".vmd" and not mmd:
+        raise FormatError(
+            path,
+            "a VMD moves the bones of an MMD model, which this character is not; transfer onto a .pmx or .pmd, or "
+            "write a .bvh or .vrma",
+        )
 
 
 @checked

@@ -364,7 +364,7 @@ class _Skin:
 
 def _of_handles(animation: Animation, frame: FileFrame) -> _Skin:
     handles = animation.handles
-    names = [prim_name(name) for name in handle_names(handles)]
+    names = [prim_name(name) for name in handle_names(handles.played)]
     h = frame.points(handles.positions.astype(np.float64))
     local = h - h[0]
     local[0] = h[0]

@@ -150,7 +150,7 @@ def corrected_facts(character: Character, handles: Handles) -> dict[str, Any]:
     `parts`, and what is `said` already, as `core.body.corrections.Corrections` has it.
     """
     joints = Anatomy.of(character, handles).joints
-    at, names = joint_facts(handles, joints), handle_names(handles)
+    at, names = joint_facts(handles, joints), handle_names(handles.played)
     listed = [
         {"name": name, "parent": names[joints.parents[names.index(name)]] if name != names[0] else None, "point": point}
         for name, point in at.items()

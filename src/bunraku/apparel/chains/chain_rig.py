@@ -24,7 +24,7 @@ def handle_rig(character: Character, handles: Handles) -> Character:
     transforms[:, :3, 3] = handles.positions
     parents = np.where(np.arange(count) == 0, -1, 0)
     indices, weights = top_influences(handles.weights, min(8, count))
-    rig = Rig(handle_names(handles), parents, transforms, indices, weights)
+    rig = Rig(handle_names(handles.played), parents, transforms, indices, weights)
     return replace(character, rig=rig, avatar=None)
 
 

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bunraku.core.character import Handles
 from bunraku.errors import OptionError
 
 JOINT_NAMES: tuple[str, ...] = (
@@ -44,15 +43,15 @@ BESIDE = "beside"
 """Name of the joint of what stands still beside a body."""
 
 
-def handle_names(handles: Handles) -> tuple[str, ...]:
-    """Names of handles: those of the layout if there are 30, else numbers. A handle that plays the part of another is
-    named after it and numbered: left_hip_2 is the second left hip.
+def handle_names(played: np.ndarray) -> tuple[str, ...]:
+    """Names of handles, by whose part each plays (`Handles.played`): those of the layout if there are 30, else numbers.
+    A handle that plays the part of another is named after it and numbered: left_hip_2 is the second left hip.
     """
-    count = len(handles.positions)
+    count = len(played)
     if count != len(HANDLE_NAMES):
         return tuple(f"handle_{handle}" for handle in range(count))
     names, met = list(HANDLE_NAMES), [1] * count
-    for handle, role in enumerate(handles.played.tolist()):
+    for handle, role in enumerate(played.tolist()):
         if role != handle:
             met[role] += 1
             names[handle] = f"{HANDLE_NAMES[role]}_{met[role]}"

@@ -58,7 +58,7 @@ class Bones:
         indices, weights = top_influences(handles.weights, 4)
         turns = np.tile(np.eye(3), (count, 1, 1))
         positions = handles.positions.astype(np.float64)
-        return cls(names or tuple(handle_names(handles)), parents, turns, positions, indices, weights)
+        return cls(names or tuple(handle_names(handles.played)), parents, turns, positions, indices, weights)
 
     @classmethod
     def of_rig(cls, rig: Rig) -> Bones:

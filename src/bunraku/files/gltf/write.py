@@ -128,7 +128,7 @@ def _role(name: str) -> int | None:
 def add_joints(builder: GltfBuilder, handles: Handles) -> list[int]:
     """Add one node for each handle, handle 0 above the others, and return the nodes."""
     h = handles.positions.astype(np.float64)
-    names = handle_names(handles)
+    names = handle_names(handles.played)
     first = len(builder.tree.get("nodes", []))
     for handle, name in enumerate(names):
         offset = (h[handle] - h[0] if handle else h[0]).astype(np.float32)

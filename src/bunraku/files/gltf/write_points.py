@@ -218,7 +218,7 @@ def fitted_points(moved: PointAnimation, tolerance: float | None = None, shapes:
 
 
 def _bone_name(handles: Handles, number: int, count: int) -> str:
-    return handle_names(handles)[number] if number < count else f"apparel_{number - count + 1}"
+    return handle_names(handles.played)[number] if number < count else f"apparel_{number - count + 1}"
 
 
 def _with_bones(

@@ -137,7 +137,7 @@ def with_still(animation: Animation) -> Animation | RigAnimation:
     transforms = np.tile(np.eye(4), (count + 1, 1, 1))
     transforms[1:, :3, 3] = handles.positions
     parents = np.array([-1, 0, *[1] * (count - 1)])
-    rig = Rig((BESIDE, *handle_names(handles)), parents, transforms, *top_influences(weights, 4))
+    rig = Rig((BESIDE, *handle_names(handles.played)), parents, transforms, *top_influences(weights, 4))
     rotations = np.tile(np.eye(3), (len(motion), count + 1, 1, 1))
     translations = np.zeros((len(motion), count + 1, 3))
     rotations[:, 2:], translations[:, 2:] = motion.rotations[:, 1:], motion.translations[:, 1:]

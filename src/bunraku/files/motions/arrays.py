@@ -186,7 +186,7 @@ def pack_animation(animation: Animation) -> bytes:
 def pack_motion(motion: HandleMotion, handles: Handles, reference: HandleMotion | None = None) -> bytes:
     """The NPZ of a motion of some handles, as `pack_animation` describes it."""
     arrays: dict[str, Any] = motion_arrays(motion)
-    arrays |= {"handle_positions": handles.positions, "handle_names": np.array(handle_names(handles))}
+    arrays |= {"handle_positions": handles.positions, "handle_names": np.array(handle_names(handles.played))}
     if reference is not None:
         arrays |= motion_arrays(reference, REFERENCE)
     packed = io.BytesIO()

@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bunraku.core.animation import Animation, RigAnimation
-from bunraku.core.avatars import mmd_model
+from bunraku.core.avatars import MmdModel
 from bunraku.core.body.joint_rotations import skeleton_from_handles
 from bunraku.core.body.layout import HANDLE_COUNT, JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
 from bunraku.core.body.reference import reference_body
-from bunraku.core.character import Character
 from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton
 from bunraku.errors import FormatError, MotionError, OptionError
-from bunraku.files import VMD_FPS, write_vmd
+from bunraku.files import VMD_FPS, check_writer, write_vmd
 
 if TYPE_CHECKING:
     from bunraku.anatomy.anatomy import Anatomy
@@ -147,16 +146,6 @@ def _pelvis(anatomy: Anatomy, present: np.ndarray) -> np.ndarray:
     return np.asarray(anatomy.handles.positions[0] + (body.joints[0] - body.handles.positions[0]) * anatomy.scale)
 
 
-def check_character(character: Character, path: Path) -> None:
-    """Raise FormatError unless a VMD can hold what a character does."""
-    if mmd_model(character) is None:
-        raise FormatError(
-            path,
-            f"a VMD moves the bones of an MMD model, and {character.name} is not one; transfer onto a .pmx or .pmd, or "
-            "write a .bvh or .vrma",
-        )
-
-
 def write_character_vmd(animation: Animation | RigAnimation, path: Path, *, fps: float | None = None) -> Path:
     """Write what an MMD character does as keys of its bones, at 30 frames a second, with the inverse kinematics of its
     legs off.
@@ -179,7 +168,7 @@ def write_character_vmd(animation: Animation | RigAnimation, path: Path, *, fps:
     if fps not in (None, VMD_FPS):
         raise OptionError(f"VMD files have 30 frames a second, not {fps:g}; leave fps out, and the motion is resampled")
     character = animation.character
-    check_character(character, path)
+    check_writer(path, mmd=isinstance(character.avatar, MmdModel))
     if isinstance(animation, RigAnimation):
         return write_vmd(mmd_clip(animation), path)
     try:
