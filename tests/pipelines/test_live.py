@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 import bunraku
+from bunraku.core.body.layout import HANDLE_INDEX
 from bunraku.core.nn.checkpoints import shipped_checkpoint
 from bunraku.files.samples import sample_character
+from bunraku.retarget.pins import end_positions, limb_ends
 
 pytestmark = pytest.mark.skipif(
     not (shipped_checkpoint("handles").is_file() and shipped_checkpoint("diffusion").is_file()),
@@ -57,6 +59,33 @@ def test_what_was_not_shown_is_drawn_anew(walked):
     assert first == 20 and np.array_equal(two.motion.root_translation[:5], walked[20:25])
     with pytest.raises(bunraku.OptionError, match="was not given"):
         live.window(1, start=500)
+
+
+def test_it_looks_and_reaches_over_what_it_does():
+    live = bunraku.live(sample_character("person"), "stands still", **HOW)
+    left = [end for end in limb_ends(live._body.anatomy) if end.part == "left_hand"]
+    before = live.window(20)[1]
+    hung = end_positions(before.motion, before.handles, left)[:, 0]
+    goal = hung[-1] + (0.05, 0.3, 0.25)
+    live.look((1.5, 1.6, 0.8))
+    live.reach(goal)
+    asked = live.window(30)[1]
+    world = asked.motion.transforms(asked.handles.positions).astype(float)
+    head = world[-1, HANDLE_INDEX["head"]]
+    toward = np.array([1.5, 1.6, 0.8]) - (head[:, :3] @ asked.handles.positions[HANDLE_INDEX["head"]] + head[:, 3])
+    assert head[:, 2] @ toward / np.linalg.norm(toward) > np.cos(np.radians(8))
+    hand = end_positions(asked.motion, asked.handles, left)[:, 0]
+    assert np.linalg.norm(hand[-1] - goal) < 0.03
+    assert np.linalg.norm(np.diff(np.concatenate([hung, hand]), axis=0), axis=1).max() < 0.15  # it does not leap there
+    live.look(None)
+    live.reach(None)
+    live.window(40, start=50)
+    shown, drawn = live.played(0.5), live._shown.take(slice(80, 90))
+    np.testing.assert_allclose(shown.motion.rotations, drawn.motion.rotations, atol=5e-3)
+    assert len(live.played(9, stop=33).motion) == 33
+    for wrong in ((1, 2), "there", (1, 2, float("nan"))):
+        with pytest.raises(bunraku.OptionError, match="a point is"):
+            live.look(wrong)
 
 
 def test_what_is_refused_changes_nothing_and_what_is_over_stops():

@@ -1,5 +1,5 @@
 """A character that never stops: motion is drawn in windows of two seconds, each from the last frames of the one before,
-so that a new sentence or direction shows at once.
+so that a new sentence or direction shows at once. What it looks at and reaches for is added to what is drawn.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from bunraku.core.geometry.rotations import matrix_y
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import OptionError
 from bunraku.language.prompts import check_prompt
+from bunraku.pipelines.aim import Aim, Point
 from bunraku.pipelines.animator import Animator, Body
 from bunraku.pipelines.requests import Constraints, Follow, Request, Sampling, is_cycle
 
@@ -75,6 +76,11 @@ class Live(Iterator[AnimatedCharacter]):
         self._body = character if isinstance(character, Body) else self._animator.body(character, self._now)
         self.direction: tuple[float, float] | None = None
         """Where it faces and travels, x and z; None where sentences decide."""
+        self._look: Point | None = None
+        self._reach: Point | None = None
+        self._aim = Aim(self._body.anatomy)
+        self._aims = self._aim.still[None][:0]
+        """The states of `_aim` of the frames of `_shown` that were given."""
         self._shown: AnimatedCharacter | None = None
         """What was drawn, of which `_next` is the frame that is given next; older frames are dropped."""
         self._next = self._windows = self._dropped = 0
@@ -110,6 +116,16 @@ class Live(Iterator[AnimatedCharacter]):
                 raise OptionError("a direction is x and z on the ground, two numbers that are not both zero")
         self._change(self._now, given)
 
+    def look(self, point: Sequence[float] | None) -> None:
+        """Turn the head to a point in the world [m], whatever is done, where it is not behind; None looks ahead again.
+        OptionError for other values. A character that its own skeleton moves does not.
+        """
+        self._look = _point(point)
+
+    def reach(self, point: Sequence[float] | None) -> None:
+        """Likewise, hold the nearest hand to a point, or as near as the arm reaches."""
+        self._reach = _point(point)
+
     def window(self, frames: int, start: int | None = None) -> tuple[int, AnimatedCharacter]:
         """The next poses as one animation, and the number of its first since the beginning.
 
@@ -128,16 +144,38 @@ class Live(Iterator[AnimatedCharacter]):
         while self._left() < frames:
             self._draw(frames)
         with self._changed:
-            assert self._shown is not None
-            first, self._next = self._next, self._next + frames
-            return first + self._dropped, self._shown.take(slice(first, self._next))
+            return self._next + self._dropped, self._give(frames)
 
-    def played(self, seconds: float = KEPT) -> AnimatedCharacter:
-        """The last seconds that were shown, at most a minute, as an animation; OptionError where nothing was."""
+    def played(self, seconds: float = KEPT, stop: int | None = None) -> AnimatedCharacter:
+        """The last seconds that were shown, at most a minute, as an animation; OptionError where nothing was.
+
+        Args:
+            seconds: How many at most.
+            stop: The number of the first pose that was not shown, of those that were given; None where all were.
+        """
         with self._changed:
-            if self._shown is None or not self._next:
+            end = self._next if stop is None else min(stop - self._dropped, self._next)
+            if self._shown is None or end < 1:
                 raise OptionError("nothing was shown yet; take a pose first")
-            return self._shown.take(slice(max(0, self._next - round(seconds * self.fps)), self._next))
+            span = slice(max(0, end - round(seconds * self.fps)), end)
+            return self._aimed(self._shown.take(span), self._aims[span])
+
+    def _give(self, frames: int) -> AnimatedCharacter:
+        """The next poses, looking and reaching; their frames are drawn."""
+        assert self._shown is not None
+        first, self._next = self._next, self._next + frames
+        given = self._shown.take(slice(first, self._next))
+        before = self._aims[first - 1] if first else self._aim.still
+        states = np.tile(self._aim.still, (frames, 1))
+        if isinstance(given, Animation) and (before.any() or self._look or self._reach):
+            states = self._aim.states(given.motion, before, self._look, self._reach)
+        self._aims = np.concatenate([self._aims[:first], states])
+        return self._aimed(given, states)
+
+    def _aimed(self, given: AnimatedCharacter, states: np.ndarray) -> AnimatedCharacter:
+        if not isinstance(given, Animation):
+            return given
+        return replace(given, motion=self._aim.applied(given.motion, states))
 
     def close(self) -> None:
         """End it: the iterator stops."""
@@ -157,10 +195,8 @@ class Live(Iterator[AnimatedCharacter]):
         with self._changed:
             if self._closed:
                 raise StopIteration
-            assert self._shown is not None
-            self._next += 1
             self._changed.notify_all()
-            return self._shown.take(slice(self._next - 1, self._next))
+            return self._give(1)
 
     def _request(self, sentence: str) -> Request:
         check_prompt(sentence)
@@ -210,6 +246,7 @@ class Live(Iterator[AnimatedCharacter]):
                 self._shown = made.take(slice(over, None)) if over else made
                 self._next -= over
                 self._dropped += over
+                self._aims = self._aims[over:]
                 if self._cut == cut and self._now is said:  # nothing was said meanwhile
                     self._cut = None
                     self._now = said if is_cycle(said.parsed) else self._idle
@@ -217,6 +254,19 @@ class Live(Iterator[AnimatedCharacter]):
                     self._cut -= over
                 self._took = time.perf_counter() - start
                 self._changed.notify_all()
+
+
+def _point(point: Sequence[float] | None) -> Point | None:
+    """A point in the world; OptionError for what is none."""
+    if point is None:
+        return None
+    try:
+        x, y, z = (float(each) for each in point)
+    except (TypeError, ValueError):
+        x = y = z = math.nan
+    if not math.isfinite(x + y + z):
+        raise OptionError("a point is x, y and z in the world, three numbers")
+    return x, y, z
 
 
 def _steered(motion: HandleMotion, direction: tuple[float, float] | None) -> HandleMotion:
