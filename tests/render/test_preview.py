@@ -29,6 +29,7 @@ from bunraku.render import (
 )
 from bunraku.render import frames as frames_module
 from bunraku.render.pictures import page
+from bunraku.render.preview import save_beside
 
 
 @pytest.mark.parametrize(("fps", "expected"), [(None, 11), (20, 11), (30, 16)])
@@ -54,6 +55,20 @@ def test_mp4_has_its_frames_and_size(tmp_path, fps, expected):
     assert told == [(done, expected) for done in range(1, expected + 1)]
     assert list(tmp_path.iterdir()) == [path]
     assert b"moov" in path.read_bytes()[:200]  # the index comes first, so that a page can play it while it loads
+
+
+def test_animations_stand_side_by_side_the_shorter_ones_in_their_last_pose(tmp_path):
+    whole = swinging()
+    path = save_beside([whole, whole.take(slice(3)), whole], tmp_path / "out.gif", size=(200, 160), fps=20)
+    with Image.open(path) as picture:
+        assert picture.size == (200, 160) and picture.n_frames > 3
+        pictures = []
+        for frame in range(picture.n_frames):
+            picture.seek(frame)
+            pictures.append(np.asarray(picture.convert("RGB"), int))
+    moves = np.abs(pictures[-1] - pictures[4]) > 40
+    assert moves[:80, :100].any() and moves[80:, :100].any()
+    assert not moves[:80, 100:].any() and not moves[80:, 100:].any()  # it has ended; there is none
 
 
 @pytest.mark.parametrize("suffix", [".webp", ".gif"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import html
+import math
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
@@ -90,6 +91,46 @@ def save_preview(
         width, height = width // 2 * 2, height // 2 * 2
     pictures = render_animation(animation, size=(width, height), fps=rate, background=background, color=color)
     return write_moving(_counted(pictures, len(moments(animation, rate)), progress), target, rate)
+
+
+def save_beside(
+    animations: Sequence[Animation | PointAnimation],
+    path: str | Path,
+    *,
+    size: tuple[int, int],
+    fps: float,
+    progress: Progress | None = None,
+) -> Path:
+    """Write a video or a moving picture of animations side by side, in as many rows as columns or one less; those that
+    end first stay in their last pose.
+
+    Args:
+        animations: At least one.
+        path: The file: .mp4, .webp or .gif.
+        size: Width and height of the whole in pixels; what the rows and columns leave over is cut off.
+        fps: Pictures a second [1/s].
+        progress: As of `save_preview`.
+
+    Raises:
+        As `save_preview`.
+    """
+    columns = math.ceil(math.sqrt(len(animations)))
+    rows = math.ceil(len(animations) / columns)
+    cell = size[0] // columns // 2 * 2, size[1] // rows // 2 * 2
+    empty = np.broadcast_to(np.round(255 * parse_background("studio")[0]).astype(np.uint8), (cell[1], cell[0], 3))
+    counts = [len(moments(animation, fps)) for animation in animations]
+
+    def pictures() -> Iterator[np.ndarray]:
+        drawn = [render_animation(animation, size=cell, fps=fps) for animation in animations]
+        seen = [empty] * (rows * columns)
+        for _ in range(max(counts)):
+            for number, each in enumerate(drawn):
+                seen[number] = next(each, seen[number])
+            lines = [np.concatenate(seen[row * columns : (row + 1) * columns], axis=1) for row in range(rows)]
+            yield np.concatenate(lines, axis=0)
+
+    progress = progress or (lambda done, total: None)
+    return write_moving(_counted(pictures(), max(counts), progress), path, fps)
 
 
 def save_still(
