@@ -16,6 +16,7 @@ sys.path.insert(0, str(ROOT / "tests" / "studio"))
 
 from browser import Page, chromium  # noqa: E402
 from conftest import Studio  # noqa: E402
+from test_page_apparel import AIM  # noqa: E402
 
 OUT = ROOT / "docs" / "studio"
 MOST = 300_000
@@ -51,18 +52,19 @@ def sentence(page: Page) -> None:
 
 def takes(page: Page) -> None:
     """Four takes side by side."""
-    page.page.click("text=×4")
+    page.page.click("text=four takes")
     page.type("kicks with the right leg")
     page.until("studio.view().panes.length === 4")
     page.until("studio.takes.value.slice(0, 4).every((one) => one.state === 'done')")
     page.until("studio.view().panes.every((pane) => pane.clip)")
     page.page.click(".takes li:nth-child(2) .icon >> nth=0")
     page.set(1.5)
-    page.page.click("text=×1")
+    page.page.click("text=one take")
 
 
 def handles(page: Page) -> None:
     """Handles in colour."""
+    page.page.click("#body > summary")
     page.page.select_option("#colouring", "handles")
     page.set(0.8)
 
@@ -82,9 +84,9 @@ def directing(page: Page) -> None:
     page.shown()
     page.set(1.0)
     page.page.click("#fold")
-    page.page.click("button:has-text('pin pose')")
+    page.page.click("button:has-text('Pin this pose')")
     page.set(3.2)
-    page.page.click("button:has-text('pin pose')")
+    page.page.click("button:has-text('Pin this pose')")
     page.value(
         """studio.change('', { span: [1.5, 3.0], keep: ['legs'],
             pins: [{ part: 'left_hand', time: 2.0, position: [0.6, 1.5, 1.4], hold: 0 }] })"""
@@ -120,6 +122,7 @@ def apparel(page: Page) -> None:
     page.until("studio.take.value && studio.take.value.state === 'done'")
     page.shown()
     page.type("a person dances and turns around")
+    page.page.click("#body > summary")
     page.page.select_option("#apparel", "learn")
     page.page.click("#dress")
     page.until("studio.take.value.how === 'dress' && studio.take.value.state === 'done'")
@@ -132,12 +135,11 @@ def paint(page: Page) -> None:
     page.page.click("#sample-dancer")
     page.until("studio.character.value?.name === 'dancer' && studio.character.value.state === 'ready'")
     page.until("studio.character.value.laid && studio.take.value?.state === 'done'")
+    page.page.click("#body > summary")
     page.page.click("#paint")
     page.until("document.getElementById('dab')")
     page.page.select_option("#brush", "remove")
-    box = page.page.locator(".stage canvas").bounding_box()
-    assert box is not None
-    x, y = box["x"] + 0.455 * box["width"], box["y"] + 0.62 * box["height"]
+    x, y = page.page.evaluate(AIM, [0.1, 0.65, 0.2])  # on the skirt
     page.page.mouse.move(x, y)
     page.page.mouse.down()
     page.page.mouse.move(x + 40, y + 10, steps=4)
@@ -158,12 +160,26 @@ def chains(page: Page) -> None:
     page.page.wait_for_timeout(700)
 
 
+def live(page: Page) -> None:
+    """A character that never stops and looks at the mouse."""
+    page.page.click("#sample-person")
+    page.until("studio.character.value?.name === 'person' && studio.take.value?.state === 'done'")
+    page.shown()
+    page.page.click("#go-live")
+    page.until("studio.stream()?.clip.frames > 0")
+    page.page.fill("#sentence", "waves with the right hand")
+    page.page.press("#sentence", "Enter")
+    page.page.mouse.move(820, 180)
+    page.page.wait_for_timeout(2500)
+    page.page.fill("#sentence", "jumps over a puddle")
+
+
 STATES = {  # those of a first visit before those that leave something behind
     "first": (first, False, 1280),
     "dark": (first, True, 1280),
-    "narrow": (first, False, 800),
+    "narrow": (first, False, 390),
     "sentence": (sentence, False, 1280),
-    "narrow-dark": (sentence, True, 800),
+    "narrow-dark": (sentence, True, 390),
     "handles": (handles, True, 1280),
     "export": (export, True, 1280),
     "clips": (clips, False, 1280),
@@ -172,6 +188,7 @@ STATES = {  # those of a first visit before those that leave something behind
     "chains": (chains, False, 1280),
     "takes": (takes, False, 1280),
     "directing": (directing, False, 1280),
+    "live": (live, False, 1280),
 }
 """What is done, whether it is dark, and how wide the window is."""
 
@@ -186,7 +203,7 @@ def main(names: list[str]) -> None:
                 act, dark, width = STATES[name]
                 for project in studio.get("/api/about")["projects"]:
                     studio.ask("DELETE", f"/api/projects/{project['id']}")
-                height = 1100 if width < 900 else 800
+                height = 844 if width < 720 else 800
                 with Page(browser, studio, width=width, height=height, dark=dark, scale=1) as page:
                     page.ready()
                     act(page)

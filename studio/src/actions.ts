@@ -5,11 +5,11 @@ import { EMPTY, MOST_LETTERS, readView, writeReplay, type Replay } from "./schem
 import { scriptOf, tooLong, wrongWith } from "./script";
 import {
   about, attempt, change, character, characters, comparing, doc, ended, newest, ownTakes, pause, remember, retract, say, settled, take, takes,
-  time, uploading, painting,
+  time, uploading, painting, correcting,
 } from "./state";
 import type { Character, Doc, LibraryClip, Sentence, Settings, Take } from "./types";
 
-interface Made {
+export interface Made {
   job: string;
   takes: string[];
   /** The sentences as the server took them: those of a sequence in one text one by one. */
@@ -41,7 +41,7 @@ export function asked(now: Doc): Record<string, unknown> {
 }
 
 /** Takes that were made: shown with their sentences, and undone by giving them up. */
-function settle(name: string, made: Made, script: Sentence[]): void {
+export function settle(name: string, made: Made, script: Sentence[]): void {
   const sentence = script.length === doc.value.script.length ? doc.value.sentence : 0;
   const values = { take: made.takes[0] ?? null, script, sentence };
   settled(name, values, { comparing: made.takes.length > 1 }, (there) =>
@@ -221,6 +221,7 @@ function switchTo(id: string | null): void {
   doc.value = { ...doc.value, ...ofCharacter(id) };
   comparing.value = false;
   painting.value = false;
+  correcting.value = false;
   time.value = 0;
 }
 
@@ -231,6 +232,7 @@ export function select(id: string): void {
   pause();
   change("choose a character", ofCharacter(id), { comparing: false, changing: false });
   painting.value = false;
+  correcting.value = false;
   time.value = 0;
 }
 
@@ -358,7 +360,7 @@ export async function openAsMotion(file: File): Promise<void> {
   });
 }
 
-/** Write takes as files of another program, each its own or as the clips of one, and hand them to the browser. */
+/** Write takes as files of another program, each its own, or as the clips or the panes of one, and hand them to the browser. */
 export async function download(some: Take[], settings: { format: string; fps: number; together: boolean; preset?: string }): Promise<void> {
   const { format, fps, together, preset } = settings;
   const written = async (path: string, body: unknown): Promise<void> => {
@@ -369,7 +371,7 @@ export async function download(some: Take[], settings: { format: string; fps: nu
   await attempt(async () => {
     const owner = some[0]?.character;
     if (preset || (together && some.length > 1)) {
-      await written(`/characters/${owner}/exports`, { takes: some.map((one) => one.id), fps, ...(preset ? { preset } : {}) });
+      await written(`/characters/${owner}/exports`, { takes: some.map((one) => one.id), fps, ...(preset ? { preset } : { format }) });
       return;
     }
     for (const one of some) {

@@ -53,7 +53,7 @@ async function answerOf(response: Response): Promise<Response> {
   throw new ServerError(sentence, response.status);
 }
 
-async function asked(path: string, options: RequestInit = {}): Promise<Response> {
+export async function request(path: string, options: RequestInit = {}): Promise<Response> {
   let response: Response;
   try {
     response = await fetch(`api${path}`, {
@@ -67,7 +67,7 @@ async function asked(path: string, options: RequestInit = {}): Promise<Response>
 }
 
 export async function get<T>(path: string): Promise<T> {
-  return (await asked(path)).json() as Promise<T>;
+  return (await request(path)).json() as Promise<T>;
 }
 
 export async function send<T>(method: string, path: string, body?: unknown): Promise<T> {
@@ -75,13 +75,13 @@ export async function send<T>(method: string, path: string, body?: unknown): Pro
   if (body !== undefined) {
     options.body = JSON.stringify(body);
   }
-  const answer = (await (await asked(path, options)).json()) as T;
+  const answer = (await (await request(path, options)).json()) as T;
   poke();
   return answer;
 }
 
 export async function bytes(path: string, options: RequestInit = {}): Promise<ArrayBuffer> {
-  return (await asked(path, options)).arrayBuffer();
+  return (await request(path, options)).arrayBuffer();
 }
 
 /** Send a file as it is; `told` hears the share that is there. */

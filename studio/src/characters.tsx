@@ -5,7 +5,8 @@ import { useEffect, useRef, useState } from "preact/hooks";
 import { deleteCharacter, openAsMotion, repair, sample, select } from "./actions";
 import { Apparel } from "./apparel";
 import { bytes } from "./api";
-import { about, attempt, change, character, characters, colouring, doc, running, weightOf } from "./state";
+import { Correct } from "./correct";
+import { about, attempt, change, character, characters, colouring, correcting, doc, running, weightOf } from "./state";
 import { Thumbs } from "./thumbs";
 import { kindColour } from "./skeleton";
 import type { Character } from "./types";
@@ -172,7 +173,7 @@ function Picture({ one }: { one: Character }) {
       .catch(() => undefined);
     return () => URL.revokeObjectURL(made);
   }, [one.id, one.picture]);
-  return url ? <img src={url} alt="" width={56} height={42} /> : <span class="blank" aria-hidden="true" />;
+  return url ? <img class="strip" src={url} alt="" width={56} height={42} /> : <span class="blank" aria-hidden="true" />;
 }
 
 /** Whether what a body is made of is unfolded. */
@@ -207,7 +208,7 @@ export function Characters() {
             </li>
           ))}
         </ul>
-        {now?.state === "ready" && (
+        {(now?.state === "ready" || (now && correcting.value)) && (
           <>
             <Chips one={now} />
             {unsure(now) && <Fronts one={now} />}
@@ -256,6 +257,7 @@ export function Characters() {
                 </select>
               </label>
             )}
+            <Correct one={now} />
             <Apparel one={now} />
             {colouring.value === "chains" && <Kinds one={now} />}
             <p class="hint">
@@ -285,7 +287,7 @@ export function Characters() {
           {about.value?.samples.map((name) => (
             <li key={name}>
               <button class="card" id={`sample-${name}`} onClick={() => void sample(name)}>
-                <img src={`sample-${name}.webp`} alt="" width={96} height={72} />
+                <img class="strip" src={`sample-${name}.webp`} alt="" width={96} height={72} />
                 <span>{name}</span>
               </button>
             </li>

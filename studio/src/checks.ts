@@ -1,6 +1,7 @@
 // For tests, in a build of their own: the state, and the view at a time of their choosing.
 
 import { Color, MeshBasicMaterial, Vector3 } from "three";
+import { stream } from "./live";
 import { pose } from "./model";
 import { EMPTY } from "./schema";
 import { viewer } from "./stage";
@@ -78,6 +79,7 @@ Object.assign(window, {
     time,
     change,
     view: () => viewer,
+    stream: () => stream,
     silhouette: (at: number, width: number, height: number, eye: number[], target: number[]) =>
       viewer ? silhouette(viewer, at, width, height, eye, target) : [],
     set: (seconds: number) => {

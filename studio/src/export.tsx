@@ -4,7 +4,8 @@ import { signal } from "@preact/signals";
 import { useLayoutEffect, useRef, useState } from "preact/hooks";
 import { download, saveProject } from "./actions";
 import { beside } from "./modal";
-import { about, character, ownTakes, take } from "./state";
+import { compared } from "./stage";
+import { about, character, comparing, ownTakes, take } from "./state";
 import { titleOf } from "./takes";
 
 export const exporting = signal(false);
@@ -23,8 +24,12 @@ const FORMATS: Record<string, string> = {
 const OWN: Record<string, string> = {
   bunraku: ".bunraku — the character with all its takes, to be opened here again",
 };
-/** Formats that hold several clips. */
-const TOGETHER = ["glb"];
+/** Formats that hold several takes, and how. */
+const TOGETHER: Record<string, string> = {
+  glb: "one file, each take a clip of it",
+  mp4: "one video, the takes side by side",
+  gif: "one picture, the takes side by side",
+};
 
 export function Export() {
   return exporting.value ? <ExportDialog /> : null;
@@ -35,7 +40,7 @@ function ExportDialog() {
   const [choice, setChoice] = useState("glb");
   const [fps, setFps] = useState(30);
   const [together, setTogether] = useState(true);
-  const [chosen, setChosen] = useState<string[]>(take.value ? [take.value.id] : []);
+  const [chosen, setChosen] = useState<string[]>(comparing.value ? compared().map((one) => one.id) : take.value ? [take.value.id] : []);
   useLayoutEffect(() => {
     box.current?.showModal(); // at once: a key that comes right after the click is the dialog's
   }, []);
@@ -57,7 +62,7 @@ function ExportDialog() {
     if (format === "bunraku") {
       void saveProject();
     } else {
-      const all = { format, fps, together: together && TOGETHER.includes(format) };
+      const all = { format, fps, together: together && format in TOGETHER };
       void download(some, preset ? { ...all, preset: preset.name } : all);
     }
   };
@@ -124,10 +129,10 @@ function ExportDialog() {
                 {some.length === done.length ? "none" : "all"}
               </button>
             </fieldset>
-            {some.length > 1 && !preset && TOGETHER.includes(format) && (
+            {some.length > 1 && !preset && format in TOGETHER && (
               <label class="toggle">
                 <input type="checkbox" checked={together} onChange={(event) => setTogether(event.currentTarget.checked)} />
-                one file, each take a clip of it
+                {TOGETHER[format]}
               </label>
             )}
             {!["npz", "vmd"].includes(format) && (

@@ -45,6 +45,7 @@ let thumbs: Thumbs | null = null;
 let owner = "";
 const pictures = new Map<string, ImageBitmap | HTMLCanvasElement>();
 const seen = new Map<string, HTMLCanvasElement>();
+let resting: HTMLCanvasElement | null = null; // the character before its clips are drawn
 const TOGETHER = 12; // clips that are asked for at once: few, so that the first pictures come soon
 const STILL = 2; // the moment that a card shows which nobody points at
 let lively = "";
@@ -54,9 +55,13 @@ let filling = false;
 function show(name: string, frame = STILL): void {
   const paper = seen.get(name)?.getContext("2d");
   const picture = pictures.get(name);
+  paper?.clearRect(0, 0, WIDE, HIGH);
   if (paper && picture) {
-    paper.clearRect(0, 0, WIDE, HIGH);
     paper.drawImage(picture, frame * WIDE, 0, WIDE, HIGH, 0, 0, WIDE, HIGH);
+  } else if (paper && resting) {
+    paper.globalAlpha = 0.3; // until it is drawn
+    paper.drawImage(resting, 0, 0);
+    paper.globalAlpha = 1;
   }
 }
 
@@ -126,6 +131,8 @@ async function wear(one: Character): Promise<void> {
   const data = await bytes(`/characters/${one.id}/mesh.glb?skin=handles`);
   await thumbs.show(key, data, one.bounds);
   owner = key;
+  resting = thumbs.picture(0.08);
+  [...seen.keys()].forEach((name) => show(name));
   soon();
 }
 
@@ -216,6 +223,7 @@ export function Library() {
       clearInterval(moving);
       stop();
       thumbs?.forget();
+      resting = null;
       owner = "";
       pictures.clear();
     };

@@ -13,12 +13,15 @@ import { Export, exporting } from "./export";
 import { DRAGGED, Library } from "./library";
 import { Modal } from "./modal";
 import { Characters } from "./characters";
+import { endCorrecting } from "./correct";
+import { begin, living } from "./live";
+import { LiveBar, liveKey } from "./lively";
 import { endPainting } from "./painting";
 import { Prompt } from "./prompt";
 import { readReplay, type Replay } from "./schema";
 import { Stage, viewer } from "./stage";
 import {
-  about, aside, attempt, character, comparing, doc, drawing, follow, locked, notice, ownTakes, painting, playing, redo, sheet, side,
+  about, aside, attempt, character, comparing, correcting, doc, drawing, follow, locked, notice, ownTakes, painting, playing, redo, sheet, side,
   start, take, time, trouble, undo, warm,
 } from "./state";
 import { Takes } from "./takes";
@@ -30,6 +33,12 @@ function keys(event: KeyboardEvent): void {
     return; // the dialog has the keys
   }
   const target = event.target as HTMLElement;
+  if (living.value) {
+    if (!liveKey(event, true) && event.key === "Escape") {
+      target.blur();
+    }
+    return; // the character has the keys
+  }
   const typing = target.matches("input:not([type=checkbox]):not([type=range]), textarea, select");
   if ((event.ctrlKey || event.metaKey) && event.key.toLowerCase() === "z" && !typing) {
     event.preventDefault();
@@ -60,6 +69,9 @@ function keys(event: KeyboardEvent): void {
     "?": () => (help.value = true),
     Escape: () => ((drawing.value = false), (notice.value = null), (sheet.value = "")),
   };
+  if (correcting.value) {
+    actions["Escape"] = () => void endCorrecting();
+  }
   if (painting.value) {
     Object.assign(actions, { x: dab, Escape: endPainting });
   }
@@ -164,7 +176,8 @@ function Asking() {
 
 /** What the dots in the view are. */
 function Legend() {
-  const shown = !playing.value && take.value?.state === "done" && take.value.skin === "handles" && !comparing.value && !painting.value;
+  const busy = comparing.value || painting.value || living.value || correcting.value;
+  const shown = !busy && !playing.value && take.value?.state === "done" && take.value.skin === "handles";
   return shown && (character.value?.ends?.length ?? 0) > 0 ? (
     <p class="legend">
       <i class="dot" /> drag a hand or a foot <i class="dot pinned" /> pinned now
@@ -193,6 +206,9 @@ function Sheets() {
           {SHEETS[one]}
         </button>
       ))}
+      <button id="sheet-live" disabled={character.value?.state !== "ready"} onClick={() => character.value && begin(character.value)}>
+        Live
+      </button>
     </nav>
   );
 }
@@ -275,7 +291,7 @@ function App() {
       </div>
       <section class="say" aria-label="the sentence">
         <Boundary name="the sentence">
-          <Prompt />
+          {living.value ? <LiveBar /> : <Prompt />}
         </Boundary>
       </section>
       <main>
@@ -290,7 +306,8 @@ function App() {
                 Drop a character here, or choose a sample.
               </p>
             )}
-            {character.value?.state === "opening" && <p class="badge" role="status">finding the handles of {character.value.name}…{warm.value ? "" : " the networks are being loaded, once"}</p>}
+            {character.value?.state === "opening" && !correcting.value && <p class="badge" role="status">finding the handles of {character.value.name}…{warm.value ? "" : " the networks are being loaded, once"}</p>}
+            {correcting.value && <p class="badge">drag a joint to where it belongs; drag beside the character to turn it</p>}
             {painting.value && <p class="badge">drag over hair and clothes; drag beside the character to turn it</p>}
             {drawing.value && <p class="badge">drag on the floor where it goes, or type its points below; the sentence says how</p>}
             <Legend />
@@ -333,6 +350,7 @@ if (root) {
   effect(() => {
     root.dataset["sheet"] = sheet.value;
     root.dataset["several"] = String(comparing.value);
+    root.dataset["live"] = String(Boolean(living.value));
   });
   effect(() => {
     document.documentElement.dataset["theme"] = theme.value;

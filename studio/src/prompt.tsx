@@ -5,6 +5,7 @@ import { useEffect, useRef } from "preact/hooks";
 import { generate, playClip, regenerate } from "./actions";
 import { send } from "./api";
 import { clipOf, knowClips } from "./library";
+import { begin } from "./live";
 import { MOST_LETTERS } from "./schema";
 import { fromFile, tooLong } from "./script";
 import { attempt, change, changing, character, doc, instead, pause, say, take } from "./state";
@@ -77,6 +78,11 @@ export function Prompt() {
       void generate();
     }
   };
+  const live = (): void => {
+    if (character.value) {
+      begin(character.value);
+    }
+  };
   const kept = now.span || now.keep.length || now.poses.length;
   return (
     <form
@@ -109,6 +115,9 @@ export function Prompt() {
       </div>
       <button class="main" disabled={!ready || (changing.value && !kept)} id="animate">
         {changing.value ? "Make it anew" : "Animate"}
+      </button>
+      <button type="button" class="second" id="go-live" disabled={!ready} title="it never stops: type what is done next, steer it, point" onClick={live}>
+        Live
       </button>
       <p id="understood" class="understood" role="status">
         {text.length > MOST_LETTERS && <b>{tooLong(text)}. </b>}

@@ -9,21 +9,24 @@ export const SAY = "type what the character does, such as: walks forward, then w
 
 export const inRange = (seconds: number): number => Math.min(Math.max(seconds, SHORTEST), LONGEST);
 
-/** What the timeline holds where a take is chosen; of a motion from a file an empty sentence of its length. */
+/** Whether no sentences made the take: it is the motion of a file, or was played live. */
+const unwritten = (take: Take): boolean => take.how === "transfer" || take.how === "live";
+
+/** What the timeline holds where a take is chosen; of a motion without sentences an empty sentence of its length. */
 export function scriptOf(take: Take | null): Sentence[] {
   if (!take) {
     return EMPTY.script;
   }
-  if (take.how === "transfer") {
+  if (unwritten(take)) {
     return [{ text: "", seconds: inRange(take.seconds ?? 4) }];
   }
   const parts = take.script.map((part) => ({ ...part, seconds: inRange(part.seconds) }));
   return parts.length ? parts : EMPTY.script;
 }
 
-/** Whether the take is a motion of a file and nothing was typed since it was chosen. */
+/** Whether the take has no sentences and nothing was typed since it was chosen. */
 export const fromFile = (take: Take | null, doc: Doc): take is Take =>
-  take?.how === "transfer" && doc.script.length === 1 && !doc.script[0]?.text;
+  take !== null && unwritten(take) && doc.script.length === 1 && !doc.script[0]?.text;
 
 export interface Block {
   text: string;

@@ -5,14 +5,17 @@ import { useEffect, useRef } from "preact/hooks";
 import { bend, choose } from "./actions";
 import { bytes } from "./api";
 import { parseClip, type Clip } from "./clip";
+import { jointsOf, moveJoint, touched } from "./correct";
 import { colour, dispose, forget, handleColour, loadModel, type Model } from "./model";
 import {
-  about, attempt, change, character, characters, colouring, comparing, doc, drawing, follow, ownTakes, painting, playing, running, speed,
+  about, attempt, change, character, characters, colouring, comparing, correcting, doc, drawing, follow, ownTakes, painting, playing, running, speed,
   take, takes, time, warm, weightOf,
 } from "./state";
+import { finish, living, stream } from "./live";
 import { lift, touch, worn } from "./painting";
 import { skeletonOf, strandsOf } from "./skeleton";
 import type { Character, Take } from "./types";
+import { Thumbs } from "./thumbs";
 import { Viewer, type Pane } from "./viewer";
 
 export let viewer: Viewer | null = null;
@@ -71,6 +74,7 @@ export function compared(): Take[] {
 
 let shown = "";
 let framed = "";
+let pictured = "";
 
 /** The sign of life that the page began with stays until there is something to see. */
 function awake(): void {
@@ -93,16 +97,21 @@ async function refresh(): Promise<void> {
     awake();
     return;
   }
+  if (living.value && living.value.owner !== owner.id) {
+    finish(); // another one was chosen
+  }
   const one = take.value;
   const live = lively();
-  const several = painting.value ? [] : comparing.value ? compared() : [];
-  const wanted = several.length > 1 ? several : one && one.state !== "waiting" && one.fps && !painting.value ? [one] : [];
-  if (!wanted.length && !painting.value && doc.value.take && shown.startsWith(`["${owner.id}",${owner.version},`)) {
+  const bound = painting.value || correcting.value; // as it rests
+  const alive = stream && living.value ? stream : null;
+  const several = painting.value || alive || correcting.value ? [] : comparing.value ? compared() : [];
+  const wanted = several.length > 1 ? several : one && one.state !== "waiting" && one.fps && !bound && !alive ? [one] : [];
+  if (!wanted.length && !alive && !bound && doc.value.take && shown.startsWith(`["${owner.id}",${owner.version},`)) {
     return; // what is shown stays until the new take is there
   }
   const skins = wanted.map((each) => (live && several.length < 2 && each.skin !== "bones" ? "chains" : (each.skin ?? "handles")));
   const laid = skins.includes("chains") ? (owner.laid ?? 0) : 0;
-  const key = JSON.stringify([owner.id, owner.version, wanted.map((each, number) => [each.id, each.state, skins[number]]), laid, painting.value]);
+  const key = JSON.stringify([owner.id, owner.version, wanted.map((each, number) => [each.id, each.state, skins[number]]), laid, bound, Boolean(alive)]);
   if (key === shown || owner.state !== "ready") {
     return;
   }
@@ -119,19 +128,21 @@ async function refresh(): Promise<void> {
               draft: each.state === "draft",
             })),
           )
-        : [{ model: await model(owner.id, owner.version, "handles"), clip: null, bound: painting.value }];
+        : [{ model: await model(owner.id, owner.version, "handles"), clip: alive?.clip ?? null, bound }];
       if (key !== shown) {
         return; // something else was chosen meanwhile
       }
       view.show(panes);
       awake();
       const frame = `${owner.id}:${owner.version}`;
-      if (frame !== framed) {
-        framed = frame;
-        view.frame(owner.bounds);
-        if (owner.picture !== owner.version) {
-          void photograph(owner, view);
-        }
+      if (frame !== framed && !correcting.value) {
+        view.frame(owner.bounds); // what is corrected stays in view as it is
+      }
+      framed = frame;
+      const moving = panes[0]?.clip;
+      if (owner.picture !== owner.version && pictured !== frame && moving && !alive && !correcting.value) {
+        pictured = frame;
+        void photograph(owner, skins[0] === "bones" ? null : moving).catch(() => undefined); // it is no loss
       }
       paint();
     } catch (error) {
@@ -141,18 +152,15 @@ async function refresh(): Promise<void> {
   });
 }
 
-/** Keep a picture of a character for its card, as it looks now. */
-async function photograph(owner: Character, view: Viewer): Promise<void> {
-  view.cutOut();
-  const card = document.createElement("canvas");
-  [card.width, card.height] = [192, 144];
-  const { width, height } = view.canvas;
-  const part = 0.72 * Math.min(width / 4, height / 3);
-  const middle = [(width - 4 * part) / 2, (height - 3 * part) / 2] as const;
-  card.getContext("2d")?.drawImage(view.canvas, ...middle, 4 * part, 3 * part, 0, 0, card.width, card.height);
-  const data = await new Promise<Blob | null>((resolve) => card.toBlob(resolve, "image/webp", 0.8));
+/** Keep a picture of a character for its card: moments of what it does now, which move when the card is pointed at. */
+async function photograph(owner: Character, shown: Clip | null): Promise<void> {
+  const thumbs = new Thumbs();
+  await thumbs.show(owner.id, await bytes(`/characters/${owner.id}/mesh.glb?skin=handles`), owner.bounds);
+  const card = shown ? thumbs.strip(shown) : thumbs.picture(0.08);
+  thumbs.end();
+  const data = await new Promise<Blob | null>((resolve) => (card ? card.toBlob(resolve, "image/webp", 0.8) : resolve(null)));
   if (data) {
-    await bytes(`/characters/${owner.id}/picture`, { method: "PUT", body: data }).catch(() => undefined); // it is no loss
+    await bytes(`/characters/${owner.id}/picture`, { method: "PUT", body: data });
   }
 }
 
@@ -198,7 +206,7 @@ export function Stage({ children }: { children?: preact.ComponentChildren }) {
     };
     const stops = [
       effect(() => {
-        void [about.value, character.value, take.value, comparing.value, takes.value, characters.value, doc.value.live, painting.value];
+        void [living.value, correcting.value, about.value, character.value, take.value, comparing.value, takes.value, characters.value, doc.value.live, painting.value];
         void refresh();
       }),
       effect(() => {
@@ -212,9 +220,11 @@ export function Stage({ children }: { children?: preact.ComponentChildren }) {
         view.marks = {
           skeleton: colouring.value === "skeleton" && owner ? skeletonOf(owner, one?.skin ?? "handles", shownModel?.bones ?? []) : [],
           chains: colouring.value === "chains" && owner && one?.skin !== "bones" ? strandsOf(owner, shownModel?.bones.length ?? 0) : [],
+          joints: correcting.value && owner ? jointsOf(owner) : [],
+          piece: correcting.value ? touched.value : null,
           ends: owner?.ends ?? [],
           pins: doc.value.pins,
-          path: doc.value.path,
+          path: living.value || correcting.value ? [] : doc.value.path,
           handles:
             !["handles", "weights"].includes(colouring.value) || !owner?.positions || one?.skin === "bones"
               ? []
@@ -226,12 +236,15 @@ export function Stage({ children }: { children?: preact.ComponentChildren }) {
         };
         view.live = lively();
         view.paint = painting.value ? (ray) => Boolean(view.panes[0] && touch(view.panes[0].model, ray, view.extent)) : null;
-        view.directing = !painting.value && !playing.value && one?.state === "done" && one.skin !== "bones" && !comparing.value;
+        view.told = living.value ? (look, reach) => stream?.point(look, reach) : null;
+        view.placed = correcting.value ? (name, point) => void moveJoint(name, point) : null;
+        view.directing = !living.value && !correcting.value && !painting.value && !playing.value && one?.state === "done" && one.skin !== "bones" && !comparing.value;
         view.drawing = drawing.value;
         view.follow = follow.value;
         view.touch();
       }),
       effect(() => {
+        void living.value; // what lives has a time of its own
         view.time = time.value;
         view.touch();
       }),
@@ -248,12 +261,15 @@ export function Stage({ children }: { children?: preact.ComponentChildren }) {
       if (document.hidden) {
         return;
       }
-      if (pace > SLOW && running.value.length && playing.value && now - drawn < REST) {
+      if (pace > SLOW && running.value.length && playing.value && !stream && now - drawn < REST) {
         return; // a browser that draws with the processor leaves it to what is being made
       }
       drawn = now;
       const length = seconds();
-      if (playing.value && length > 0) {
+      if (stream) {
+        stream.step(view, passed);
+        view.touch();
+      } else if (playing.value && length > 0) {
         time.value = (time.value + passed * speed.value) % length;
       }
       view.pass(passed);

@@ -33,6 +33,8 @@ export const side = signal<"characters" | "clips">("characters");
 export const sheet = signal<"" | "characters" | "clips" | "takes" | "time">("");
 /** Whether hair and clothes are being painted on the mesh, and how. */
 export const painting = signal(false);
+/** Whether joints and parts of the body are being corrected. */
+export const correcting = signal(false);
 export const brush = signal({ add: true, size: 0.05 });
 
 export const doc = signal<Doc>(EMPTY);
@@ -74,7 +76,7 @@ export function newest(all: Take[], owner: string | null): Take | null {
 }
 const open = (job: Job): boolean => ["waiting", "running"].includes(job.state);
 /** What nobody asked for by itself: how clips look, what is found out of a character, chains over it. */
-const QUIET = ["preview", "find-out", "lay-chains"];
+const QUIET = ["preview", "find-out", "lay-chains", "live"];
 /** What is being made. */
 export const running = computed(() => jobs.value.filter((job) => open(job) && !QUIET.includes(job.kind)));
 export const interrupted = computed(() => jobs.value.filter((job) => job.state === "interrupted"));
@@ -215,6 +217,9 @@ function heard(what: string, data: unknown): void {
       warm.value = (data as { warm: boolean }).warm;
     } else if (what === "job") {
       const job = data as Job;
+      if (job.kind === "live") {
+        return; // who asked gets an answer
+      }
       jobs.value = [...jobs.value.filter((one) => one.id !== job.id), job];
       if (job.state === "failed" && !QUIET.includes(job.kind)) {
         say(`${job.title}: ${job.error}`, true);

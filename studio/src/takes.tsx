@@ -43,7 +43,7 @@ function Row({ one }: { one: Take }) {
         {titleOf(one)}
         <small>
           {one.state === "done"
-            ? `${one.how === "transfer" ? "from a file" : `variation ${one.seed}`} · ${one.seconds?.toFixed(1)} s${one.stiffness ? ` · ${factor(one.stiffness)} times as stiff` : ""}`
+            ? `${one.how === "transfer" ? "from a file" : one.how === "live" ? "played live" : `variation ${one.seed}`} · ${one.seconds?.toFixed(1)} s${one.stiffness ? ` · ${factor(one.stiffness)} times as stiff` : ""}`
             : one.error || (job ? `${job.stage || one.state} ${Math.round(job.done * 100)} %` : one.state)}
         </small>
         {job && <progress max={1} value={job.done} />}

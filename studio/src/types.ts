@@ -51,6 +51,21 @@ export interface Character {
   unchained?: string;
   /** Whether somebody painted what its hair and clothes are. */
   painted?: boolean;
+  body?: Body;
+  /** Hair, clothes and what is held or worn. */
+  dress?: Body["parts"];
+}
+
+/** What was found of a body and what a person said about it (src/bunraku/core/body/corrections.py); places in metres. */
+export interface Body {
+  joints: { name: string; parent: string | null; point: Vec3 }[];
+  parts: { kind: string; at: Vec3; area: number }[];
+  said: Said;
+}
+
+export interface Said {
+  joints: Record<string, Vec3>;
+  part: { kind: string; at: Vec3[] }[];
 }
 
 export type Apparel = "rigid" | "simulate" | "chains" | "learn";
@@ -87,7 +102,7 @@ export interface Take {
   created: number;
   state: "waiting" | "draft" | "done" | "failed" | "cancelled" | "interrupted";
   error: string;
-  how: "animate" | "edit" | "bend" | "dress" | "mirror" | "trim" | "transfer";
+  how: "animate" | "edit" | "bend" | "dress" | "mirror" | "trim" | "transfer" | "live";
   star: boolean;
   title?: string;
   seed: number;

@@ -29,7 +29,7 @@ import { rootAt, type Clip } from "./clip";
 import { Ground, LOOKS } from "./ground";
 import { carried, pose, rest, rim, swing, type Model } from "./model";
 import type { Strand } from "./skeleton";
-import type { LimbEnd, Pin } from "./types";
+import type { LimbEnd, Pin, Vec3 } from "./types";
 
 export interface Pane {
   model: Model;
@@ -46,6 +46,9 @@ export interface Marks {
   pins: Pin[];
   path: [number, number][];
   handles: { place: [number, number, number]; joint: number; colour: Color }[];
+  /** Joints that are corrected, and the part that is pointed at. */
+  joints: { name: string; parent: string | null; point: Vec3 }[];
+  piece: Vec3 | null;
   /** Joints that bones are drawn between. */
   skeleton: [number, number][];
   /** Chains of hair and clothes. */
@@ -58,6 +61,12 @@ const MOST_PIXELS = 1.5;
 const BONES = new LineBasicMaterial({ color: ACCENT, depthTest: false, transparent: true });
 const STRANDS = new LineBasicMaterial({ vertexColors: true, depthTest: false, transparent: true });
 const SHAKE = { seconds: 1.4, rounds: 1.6, reach: 0.22 }; // how a character is shaken; reach over its size
+// How near to a character the pointer is to take hold of it or to have it reach, and how far before it stands what it looks
+// at and reaches for, all over its size; chosen by eye on the sample person.
+const GRIPPED = 0.16;
+const REACHED = 0.6;
+const LOOKED = 1.2;
+const HELD = 0.25;
 const HOME = 0.12; // [s] in which what was dragged aside goes back by a factor of e
 
 export class Viewer {
@@ -67,12 +76,17 @@ export class Viewer {
   readonly controls: OrbitControls;
   readonly canvas: HTMLCanvasElement;
   panes: Pane[] = [];
-  marks: Marks = { ends: [], pins: [], path: [], handles: [], skeleton: [], chains: [] };
+  marks: Marks = { ends: [], pins: [], path: [], handles: [], joints: [], piece: null, skeleton: [], chains: [] };
   time = 0;
   follow = true;
   dragged: ((part: string, place: [number, number, number]) => void) | null = null;
+  /** Hears which joint was moved where. */
+  placed: ((name: string, place: Vec3) => void) | null = null;
   drew: ((path: [number, number][]) => void) | null = null;
   chosen: ((pane: number) => void) | null = null;
+  /** Hears where the pointer is, before the character, and where it is pressed. */
+  told: ((look: Vec3, reach: Vec3 | null) => void) | null = null;
+  private reaching = false;
   drawing = false;
   directing = false;
   private dirty = true;
@@ -256,17 +270,6 @@ export class Viewer {
     return true;
   }
 
-  /** Draw the character alone, on nothing; what is drawn next is as ever. */
-  cutOut(): void {
-    const { background } = this.scene;
-    this.scene.background = null;
-    this.floor.group.visible = false;
-    this.draw(true);
-    this.floor.group.visible = true;
-    this.scene.background = background;
-    this.touch();
-  }
-
   private render(width: number, height: number): void {
     const count = this.panes.length;
     const columns = count > 3 ? 2 : Math.max(count, 1);
@@ -359,6 +362,23 @@ export class Viewer {
         }
       });
     }
+    if (single && this.placed) {
+      this.marks.joints.forEach(({ name, point }, number) => {
+        const ball = this.ball(this.gizmos, number);
+        (ball.material as MeshBasicMaterial).color.set(0x2f7fd6);
+        ball.scale.setScalar(this.size * 0.011);
+        ball.userData["part"] = name;
+        if (this.held?.gizmo !== ball) {
+          ball.position.fromArray(point);
+        }
+      });
+    }
+    if (single && this.marks.piece) {
+      const ball = this.ball(this.dots, this.marks.handles.length);
+      (ball.material as MeshBasicMaterial).color.set(ACCENT);
+      ball.scale.setScalar(this.size * 0.02);
+      ball.position.fromArray(this.marks.piece);
+    }
     if (single) {
       this.marks.handles.forEach((handle, number) => {
         const ball = this.ball(this.dots, number);
@@ -369,7 +389,10 @@ export class Viewer {
         ball.position.copy(carried(pane.model, handle.joint, handle.place));
       });
     }
-    this.joined(pane, single ? this.marks.skeleton : []);
+    const at = new Map(this.placed ? this.gizmos.filter((ball) => ball.visible).map((ball) => [String(ball.userData["part"]), ball.position]) : []);
+    const limbs = this.placed ? this.marks.joints.flatMap(({ name, parent }) => [at.get(name), at.get(parent ?? "")]) : [];
+    const places = limbs.flatMap((place, number) => (limbs[number ^ 1] && place ? [place] : []));
+    this.joined(single ? [...places, ...this.placesOf(pane, this.marks.skeleton)] : []);
     this.laid(pane, single ? this.marks.chains : []);
     this.line?.removeFromParent();
     const path = this.stroke.length > 1 ? this.stroke : this.marks.path;
@@ -381,13 +404,16 @@ export class Viewer {
     }
   }
 
-  /** Lines between joints, seen through the mesh. */
-  private joined(pane: Pane, pairs: Marks["skeleton"]): void {
+  private placesOf(pane: Pane, pairs: Marks["skeleton"]): Vector3[] {
+    return pairs.flat().map((joint) => pane.model.bones[joint]?.getWorldPosition(new Vector3()) ?? new Vector3());
+  }
+
+  /** Lines between each two of some places, seen through the mesh. */
+  private joined(points: Vector3[]): void {
     this.bones?.removeFromParent();
     this.bones?.geometry.dispose();
     this.bones = null;
-    if (pairs.length) {
-      const points = pairs.flat().map((joint) => pane.model.bones[joint]?.getWorldPosition(new Vector3()) ?? new Vector3());
+    if (points.length) {
       this.bones = new LineSegments(new BufferGeometry().setFromPoints(points), BONES);
       this.bones.renderOrder = 9;
       this.bones.frustumCulled = false;
@@ -478,7 +504,14 @@ export class Viewer {
       return;
     }
     this.aim(event);
-    if (!this.directing) {
+    if (this.told && this.near(REACHED)) {
+      this.reaching = true;
+      this.controls.enabled = false;
+      this.canvas.setPointerCapture(event.pointerId);
+      this.move(event);
+      return;
+    }
+    if (!this.directing && !this.placed) {
       this.gripped(event);
       return;
     }
@@ -505,8 +538,7 @@ export class Viewer {
       return;
     }
     const place = body.getWorldPosition(new Vector3());
-    const up = new Vector3(place.x, this.size, place.z);
-    if (this.ray.ray.distanceSqToSegment(new Vector3(place.x, 0, place.z), up) > (0.16 * this.size) ** 2) {
+    if (!this.near(GRIPPED)) {
       return;
     }
     const plane = new Plane().setFromNormalAndCoplanarPoint(this.camera.getWorldDirection(new Vector3()).negate(), place);
@@ -519,8 +551,27 @@ export class Viewer {
     }
   }
 
+  /** Whether the ray passes the character at a distance over its size. */
+  private near(far: number): boolean {
+    const { x, z } = this.panes[0]?.model.bones[0]?.getWorldPosition(new Vector3()) ?? new Vector3();
+    const up = new Vector3(x, this.size, z);
+    return this.ray.ray.distanceSqToSegment(new Vector3(x, 0, z), up) < (far * this.size) ** 2;
+  }
+
+  /** Where the ray meets an upright plane that stands before the character, at a distance over its size. */
+  private before(far: number): Vec3 {
+    const { x, z } = this.panes[0]?.model.bones[0]?.getWorldPosition(new Vector3()) ?? new Vector3();
+    const way = this.camera.position.clone().sub(this.controls.target).setY(0).normalize();
+    const plane = new Plane().setFromNormalAndCoplanarPoint(way, new Vector3(x, 0, z).addScaledVector(way, far * this.size));
+    const place = this.ray.ray.intersectPlane(plane, new Vector3()) ?? new Vector3(x, this.size, z);
+    return [round(place.x), round(place.y), round(place.z)];
+  }
+
   private move(event: PointerEvent): void {
-    if (this.stroking) {
+    if (this.told) {
+      this.aim(event);
+      this.told(this.before(LOOKED), this.reaching ? this.before(HELD) : null);
+    } else if (this.stroking) {
       this.aim(event);
       this.paint?.(this.ray.ray);
     } else if (this.grip) {
@@ -547,7 +598,10 @@ export class Viewer {
   }
 
   private up(event: PointerEvent): void {
-    if (this.stroking) {
+    if (this.reaching) {
+      this.reaching = false;
+      this.move(event);
+    } else if (this.stroking) {
       this.stroking = false;
       this.painted?.();
     } else if (this.grip) {
@@ -561,11 +615,8 @@ export class Viewer {
     } else if (this.held) {
       const { gizmo } = this.held;
       this.held = null;
-      this.dragged?.(String(gizmo.userData["part"]), [
-        round(gizmo.position.x),
-        round(gizmo.position.y),
-        round(gizmo.position.z),
-      ]);
+      const { x, y, z } = gizmo.position;
+      (this.placed ?? this.dragged)?.(String(gizmo.userData["part"]), [round(x), round(y), round(z)]);
     } else {
       return;
     }

@@ -156,7 +156,7 @@ class Page:
         wrong, abroad = list(self.wrong), list(self.abroad)
         self.wrong.clear()
         self.abroad.clear()
-        assert wrong == [] and abroad == []
+        assert wrong == [] and abroad == [], (wrong, abroad)
 
     def close(self):
         """Close it, however it stands."""

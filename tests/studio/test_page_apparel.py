@@ -1,5 +1,7 @@
 """Hair and clothes in the page, in a real browser: painted, taken back, swinging live, dressed on chains."""
 
+import math
+
 import pytest
 from browser import CHROMIUM, VITE, Page, chromium
 from conftest import Studio
@@ -13,6 +15,15 @@ TIP = """(() => {
     const { bones } = studio.view().panes[0].model;
     return bones.at(-1).getWorldPosition(bones[0].position.clone()).toArray();
 })()"""
+
+
+AIM = """([x, y, z]) => {
+    const view = studio.view();
+    const spot = view.camera.position.clone().set(x, y, z).project(view.camera);
+    const box = view.canvas.getBoundingClientRect();
+    return [box.left + (spot.x + 1) / 2 * box.width, box.top + (1 - spot.y) / 2 * box.height];
+}"""
+"""Where on the page a place of the scene is seen."""
 
 
 @pytest.fixture(scope="module")
@@ -42,11 +53,15 @@ def test_hair_and_clothes_are_painted_and_swing(dancer):
     before, laid = page.value(LEGEND), page.studio.get(record)["laid"]
 
     page.page.select_option("#brush", "remove")  # a stroke over the skirt, and one by a key in the middle of the view
-    box = page.page.locator(".stage canvas").bounding_box()
-    x, y = box["x"] + box["width"] * 0.41, box["y"] + box["height"] * 0.62
-    page.page.mouse.move(x, y)
+    chains = page.studio.get(record)["chains"]
+    skirt = [chain["points"][len(chain["points"]) // 2] for chain in chains if chain["kind"] == "skirt"]
+    eye = page.value("studio.view().camera.position.toArray()")
+    nearest = sorted(skirt, key=lambda point: math.dist(point, eye))[: len(skirt) // 2]
+    first, *others = sorted(page.page.evaluate(AIM, point) for point in nearest)
+    page.page.mouse.move(*first)
     page.page.mouse.down()
-    page.page.mouse.move(x + 0.2 * box["width"], y + 8, steps=6)
+    for spot in others:
+        page.page.mouse.move(*spot, steps=4)
     page.page.mouse.up()
     page.until(f"studio.character.value.painted && {LEGEND} !== '{before}'")
     page.page.keyboard.press("Control+z")

@@ -578,6 +578,12 @@ def test_windows_of_a_character_that_never_stops(studio):
     session, first, frames = ask(sentence="waves")
     assert (first, frames) == (0, 20)
     assert ask(session=session, direction=[1, 0], seconds=0.5) == (session, 20, 10)
-    assert ask(session=session, sentence="jumps", start=25) == (session, 25, 20)
+    assert ask(session=session, sentence="jumps", start=25, look=[1, 1, 1], reach=[0.3, 1, 0.3]) == (session, 25, 20)
+    kept = studio.post(
+        f"/api/characters/{character}/live/take", {"session": session, "stop": 40, "text": "waves; jumps"}
+    )
+    studio.done(kept["job"])
+    take = studio.get(f"/api/takes/{kept['takes'][0]}")
+    assert (take["how"], take["frames"], take["state"]) == ("live", 40, "done")
     status, said = studio.ask("POST", f"/api/characters/{character}/live", {"session": "another"})
     assert status == 400 and said["error"] == "this session has ended; begin another one"

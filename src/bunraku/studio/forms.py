@@ -33,6 +33,7 @@ MOST_SEEDS = 8
 MOST_SEED = 2**53
 """Seeds are less, so that a browser knows them exactly."""
 TURNED = Limit("direction", -1e6, 1e6)
+PLACE = Limit("a point", -1e6, 1e6)
 TIME = Limit("time", 0, SECONDS.high)
 Motion = Literal["rigid", "simulate", "chains", "learn"]
 """How apparel moves."""
@@ -381,6 +382,9 @@ class ChangeForm(Drawn):
                 "stiffness": apparel.stiffness, "gravity": apparel.gravity}  # fmt: skip
 
 
+_Place = tuple[Annotated[float, PLACE], Annotated[float, PLACE], Annotated[float, PLACE]]
+
+
 @dataclass(frozen=True, kw_only=True)
 class LiveForm:
     """The next poses of a character that never stops (`bunraku.live`).
@@ -389,6 +393,8 @@ class LiveForm:
         session: The name that the first answer gave; "" begins another.
         sentence: What it does next; "" goes on.
         direction: Where it faces and travels, x and z; None lets sentences decide.
+        look: A point in the world that it looks at [m]; None looks ahead.
+        reach: A point that its nearest hand goes to; None for none.
         start: The number of the first pose, where those that came before from there on were not shown.
         seconds: How much comes.
     """
@@ -396,6 +402,8 @@ class LiveForm:
     session: str = ""
     sentence: str = ""
     direction: tuple[Annotated[float, TURNED], Annotated[float, TURNED]] | None = None
+    look: _Place | None = None
+    reach: _Place | None = None
     start: Annotated[int | None, Limit("start", 0, 2**53)] = None
     seconds: Annotated[float, Limit("seconds", 0.1, 4)] = 1.0
 
@@ -406,16 +414,36 @@ class LiveForm:
             )
 
 
-MOST_CLIPS = 100
-"""Takes in one file."""
+@dataclass(frozen=True, kw_only=True)
+class PlayedForm:
+    """A take of what a character that never stops was seen to do, of at most the last minute.
+
+    Args:
+        session: As of `LiveForm`.
+        stop: The number of the first pose that was not shown; None where all that were given were.
+        text: What it is called.
+    """
+
+    session: str
+    stop: Annotated[int | None, Limit("stop", 1, 2**53)] = None
+    text: str = "live"
+
+    def __post_init__(self) -> None:
+        if not self.text.strip() or len(self.text) > MOST_WORDS:
+            raise OptionError(f"text is what the take is called, in at most {MOST_WORDS} characters")
+
+
+MOST_CLIPS, MOST_BESIDE = 100, 9
+"""Takes in one file, and in one video."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ClipsForm:
-    """Takes that become the clips of one file.
+    """Takes that become the clips of one file, or stand side by side in a video.
 
     Args:
         takes: Their names, in order, each once.
+        format: What is written where no preset says it.
         fps: Frames a second [1/s]; 0 for the preset's.
         preset: The program that the file is for, one of `files.presets`; "" for a plain GLB.
     """
@@ -423,6 +451,7 @@ class ClipsForm:
     takes: tuple[str, ...] = ()
     fps: float = 30.0
     preset: str = ""
+    format: Literal["glb", "mp4", "gif"] = "glb"
 
     def __post_init__(self) -> None:
         if self.preset:
@@ -431,6 +460,8 @@ class ClipsForm:
             FPS.check(self.fps)
         if not 1 <= len(self.takes) <= MOST_CLIPS or len(set(self.takes)) < len(self.takes):
             raise OptionError(f"one file has 1 to {MOST_CLIPS} clips, each another take; choose them again")
+        if self.format != "glb" and len(self.takes) > MOST_BESIDE:
+            raise OptionError(f"at most {MOST_BESIDE} takes stand side by side in a video; choose fewer")
 
 
 def check_asked(how: object, script: object, asked: object) -> None:

@@ -139,7 +139,7 @@ class _TakeFacts:
 
     script: tuple[_Said, ...]
     asked: object = None
-    how: Literal["animate", "edit", "bend", "dress", "mirror", "trim", "transfer"] = "animate"
+    how: Literal["animate", "edit", "bend", "dress", "mirror", "trim", "transfer", "live"] = "animate"
     seed: _Seed = 0
     seeds: tuple[_Seed, ...] = ()
     star: bool = False

@@ -6,6 +6,7 @@ import shutil
 import tempfile
 import zipfile
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ from bunraku.studio.takes import (
     Task,
     Transfer,
     Trim,
+    finish_takes,
 )
 from bunraku.studio.wire import Dressed, load_handles, packed_clip, save_handles
 from bunraku.studio.workspace import (
@@ -136,9 +138,26 @@ class Live(LiveForm):
             live.go(self.direction)
         if self.sentence:
             live.say(self.sentence)
+        live.look(self.look)
+        live.reach(self.reach)
         first, made = live.window(round(self.seconds * live.fps), self.start)
         assert isinstance(made, Animation | RigAnimation)  # no skeleton was asked for
         return {"first": first, "clip": packed_clip(made)}
+
+
+@dataclass(frozen=True)
+class Played:
+    """A take of what a character that never stops was seen to do."""
+
+    takes: tuple[str, ...]
+    character: str
+    session: str
+    stop: int | None
+
+    def __call__(self, workspace: Workspace, report: Progress, partly: Partly) -> dict[str, Any]:
+        made = workspace.live(self.session, self.character, False).played(stop=self.stop)
+        assert isinstance(made, Animation | RigAnimation)
+        return finish_takes({self.takes[0]: made}, self.character, workspace, partly)
 
 
 VIDEOS = {".mp4": (1280, 720), ".gif": (480, 360)}
@@ -177,7 +196,9 @@ class Export:
 
 @dataclass(frozen=True)
 class ExportClips:
-    """Several takes of a character as the clips of one file, or of a ZIP of as many as a program wants."""
+    """Several takes of a character as the clips of one file, or of a ZIP of as many as a program wants, or side by side
+    in a video.
+    """
 
     character: str
     export: str
@@ -192,6 +213,8 @@ class ExportClips:
         from bunraku.files import preset_named, save_clips, save_for
 
         target = workspace.folder_of("exports", self.export) / self.file
+        if target.suffix in VIDEOS:
+            return self._beside(workspace, target, report)
         clips: dict[str, Animation | RigAnimation] = {}
         character: Character | None = None
         for number, (take, name) in enumerate(zip(self.takes, self.names, strict=True)):
@@ -217,6 +240,19 @@ class ExportClips:
             save_for(self.preset, clips, target, fps=self.fps or None)
         return {"export": self.export, "bytes": target.stat().st_size}
 
+    def _beside(self, workspace: Workspace, target: Path, report: Progress) -> dict[str, Any]:
+        from bunraku.render.preview import save_beside
+
+        takes = [workspace.take(take, self.character) for take in self.takes]
+        shown = [take.points if isinstance(take, Dressed) else take for take in takes]
+        told = partial(_share, report)
+        save_beside(shown, target, size=VIDEOS[target.suffix], fps=self.fps, progress=told)
+        return {"export": self.export, "bytes": target.stat().st_size}
+
+
+def _share(report: Progress, done: int, total: int) -> None:
+    report("draw", done / total)
+
 
 def _named(
     clips: dict[str, Animation | RigAnimation], workspace: Workspace, character: str, names: str
@@ -235,7 +271,7 @@ def _named(
 TASKS: dict[str, type[Task]] = {
     "open": Open, "find-out": FindApparel, "lay-chains": LayChains,
     "animate": Animate, "edit": Edit, "bend": Bend, "dress": Dress, "mirror": Mirror, "trim": Trim,
-    "transfer": Transfer, "play": Play, "preview": Preview, "live": Live,
+    "transfer": Transfer, "play": Play, "preview": Preview, "live": Live, "played": Played,
     "export": Export, "export-clips": ExportClips,
 }  # fmt: skip
 

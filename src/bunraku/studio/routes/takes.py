@@ -22,6 +22,7 @@ from bunraku.studio.forms import (
     DressForm,
     ExportForm,
     LiveForm,
+    PlayedForm,
     TakeForm,
     TakeRecordForm,
     read_script,
@@ -237,7 +238,7 @@ def export(request: Request, body: dict[str, Any]) -> Any:
 @beside
 def clips(request: Request, body: dict[str, Any]) -> Any:
     """Write several takes of a character as the clips of one file, each named by its title or its words: a GLB, or what
-    the program wants that `preset` names.
+    the program wants that `preset` names. As a video they stand side by side.
     """
     state, owner = studio_state(request), request.path_params["name"]
     title = state.store.get("characters", owner)["name"]
@@ -246,7 +247,7 @@ def clips(request: Request, body: dict[str, Any]) -> Any:
     if any(record["character"] != owner or record["state"] != "done" for record in records):
         raise OptionError("the clips of one file are finished takes of one character; wait for them, or leave some out")
     names = list(clip_names(record.get("title") or record["script"][0]["text"] for record in records))
-    suffix = ".glb"
+    suffix = f".{form.format}"
     if form.preset:
         row = preset_named(form.preset)
         suffix = row.suffix if len(row.files("clips", names)) == 1 else ".zip"
@@ -293,6 +294,17 @@ async def live(request: Request) -> Response:
     return Response(said["clip"], headers=headers, media_type="application/octet-stream")
 
 
+@beside
+def played(request: Request, body: dict[str, Any]) -> Any:
+    """A take of what a character that never stops was seen to do."""
+    state, owner = studio_state(request), request.path_params["name"]
+    ready_character(state, owner)
+    form = from_json(PlayedForm, body, "the request")
+    takes = state.new_takes(owner, 1, how="live", script=[{"text": form.text, "seconds": 0}], asked={})
+    params = {"session": form.session, "stop": form.stop}
+    return JSONResponse(state.make("played", "keep what was played", owner, _ids(takes), params), 202)
+
+
 async def exported(request: Request) -> Response:
     """The file of an export."""
     state, name = studio_state(request), request.path_params["name"]
@@ -308,6 +320,7 @@ ROUTES = [
     ("/characters/{name}/transfer", ("POST",), transfer),
     ("/characters/{name}/exports", ("POST",), clips),
     ("/characters/{name}/live", ("POST",), live),
+    ("/characters/{name}/live/take", ("POST",), played),
     ("/takes/{name}", ("GET", "PATCH", "DELETE"), take),
     ("/takes/{name}/clip", ("GET",), clip),
     ("/takes/{name}/change", ("POST",), change),

@@ -28,7 +28,16 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from bunraku import __version__
 from bunraku.core.body.corrections import Corrections
 from bunraku.errors import BunrakuError
-from bunraku.studio.forms import ChangeForm, CharacterForm, ClipsForm, ExportForm, LiveForm, TakeForm, TakeRecordForm
+from bunraku.studio.forms import (
+    ChangeForm,
+    CharacterForm,
+    ClipsForm,
+    ExportForm,
+    LiveForm,
+    PlayedForm,
+    TakeForm,
+    TakeRecordForm,
+)
 from bunraku.studio.jobs import QueueFull
 from bunraku.studio.routes import characters, general, takes
 from bunraku.studio.routes.reading import TooLarge
@@ -200,6 +209,7 @@ READS: dict[tuple[str, str], type] = {
     ("/characters/{name}/takes", "POST"): TakeForm,
     ("/characters/{name}/exports", "POST"): ClipsForm,
     ("/characters/{name}/live", "POST"): LiveForm,
+    ("/characters/{name}/live/take", "POST"): PlayedForm,
     ("/takes/{name}", "PATCH"): TakeRecordForm,
     ("/takes/{name}/change", "POST"): ChangeForm,
     ("/takes/{name}/exports", "POST"): ExportForm,
