@@ -43,7 +43,7 @@ def main() -> int:
         there = np.maximum(there - FLOOR, 0) / (1 - FLOOR)
         picture = np.concatenate([colour, np.clip(255 * there, 0, 255)], axis=2).round().astype(np.uint8)
         small = Image.fromarray(picture).resize((SIZE[0] * MOMENTS, SIZE[1]), Image.Resampling.LANCZOS)
-        small.save(TARGET / f"sample-{name}.webp", quality=70, alpha_quality=60, method=6)
+        small.save(TARGET / f"sample-{name}.webp", quality=60, alpha_quality=50, method=6)
     return 0
 
 

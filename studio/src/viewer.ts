@@ -274,6 +274,8 @@ export class Viewer {
     const count = this.panes.length;
     const columns = count > 3 ? 2 : Math.max(count, 1);
     const rows = Math.max(Math.ceil(count / columns), 1);
+    this.renderer.setScissorTest(false);
+    this.renderer.clear(); // what panes leave free between them
     this.renderer.setScissorTest(count > 1);
     if (count === 0) {
       this.renderer.setViewport(0, 0, width, height);

@@ -385,6 +385,11 @@ def test_a_phone_shows_what_opens_and_what_animates_at_once(page):
             box = page.page.locator(name).bounding_box()
             assert box["y"] >= 0 and box["y"] + box["height"] <= 800, name
         assert page.value("document.documentElement.scrollHeight") <= 800  # one screen
+        on_top = "document.elementFromPoint(195, 300).closest('.stage, aside')?.className"
+        assert page.value(on_top) == "stage"  # no sheet lies on it
+        for name, there in (("characters", "left"), ("takes", "right"), ("takes", "stage")):
+            page.page.click(f"#sheet-{name}")
+            page.until(f"{on_top} === '{there}'")
     finally:
         page.page.set_viewport_size({"width": 1280, "height": 800})
 
