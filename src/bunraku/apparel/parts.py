@@ -42,6 +42,7 @@ LEAST = 5e-4  # of the surface: smaller parts belong to the body; chosen by eye
 BORDER = 0.03  # over the size: so far from the body's surface a stiff part of one skin with it is not stiff yet; by eye
 BARE = 0.25  # of the surface: where less would be left of a body, its handles are those of the whole; chosen by eye
 HOLDING = 10  # percentile of distances: so much of a part, nearest to the body, says what holds it; chosen by eye
+MOSTLY = 0.6  # of the surface about what is worn: where one limb has less of it, it bends; chosen by eye
 LEAST_SHARE = 0.1  # of the weights about a part: a carrier that has less of them is not what holds it; chosen by eye
 KNOWN = 4  # characters whose parts stay in memory
 _HEAD = HANDLE_NAMES.index("head")
@@ -359,33 +360,39 @@ def handles_of_body(character: Character, predict: Callable[[Character], Handles
 
 def stiff_weights(character: Character, parts: Parts, weights: np.ndarray, left: np.ndarray) -> np.ndarray:
     """Weights (V, K) of handles in which each part that is stiff, or was left out (V,), goes as a whole with the handle
-    that holds it: the one that has most of the surface nearest to it, among those of its carrier. Where a part is one
-    skin with the body, it becomes stiff away from the border.
+    that holds it: the one that has most of the surface nearest to it, among those of its carrier. Hair goes with the
+    head, and so does what is nearest to hair. What is worn across limbs bends with them. Where a part is one skin with
+    the body, it becomes stiff away from the border.
     """
     out = np.array(weights, np.float64)
     moved = left | np.isin(parts.label, STIFF)
     vertices = np.asarray(character.vertices, np.float64)
-    body = np.flatnonzero(~moved & character.surface)
-    if not len(body):
+    holds = character.surface & ~moved
+    if not holds.any():
         return weights
-    tree, reach = cKDTree(vertices[body]), BORDER * float(np.ptp(vertices, axis=0).max())
+    reach = BORDER * float(np.ptp(vertices, axis=0).max())
     clean = clean_mesh(vertices, character.faces)
     points, of = np.zeros_like(clean.vertices), np.full(len(clean.vertices), -1)
     points[clean.index], of[clean.index[moved]] = vertices, parts.number[moved]
     edges = unique_edges(clean.faces, len(of))
     edges = np.concatenate([edges, edges[:, ::-1]])
     edges = edges[(of[edges[:, 0]] >= 0) & (of[edges[:, 1]] < 0)]
-    for number, (kind, carrier) in enumerate(zip(parts.kinds, parts.carriers, strict=True)):
+    for number in sorted(range(len(parts)), key=lambda number: parts.kinds[number] != "hair"):  # hair first
+        kind, carrier = parts.kinds[number], parts.carriers[number]
         rows = np.flatnonzero((parts.number == number) & moved)
         if not len(rows):
             continue
-        gap, near = tree.query(vertices[rows])
+        body = np.flatnonzero(holds)
+        gap, near = cKDTree(vertices[body]).query(vertices[rows])
+        around = out[body[near]]
+        if kind == "accessory" and (_HANDLES @ around.sum(axis=0)).max() < MOSTLY * len(rows):
+            continue
         close = gap <= np.percentile(gap, HOLDING)
-        holder = _HEAD if kind == "hair" else carried_by(carrier, weights[body[near[close]]].sum(axis=0))
-        ends = points[edges[of[edges[:, 0]] == number, 1]]
-        share = (
-            smooth_step(cKDTree(ends).query(vertices[rows])[0] / reach, 0.0, 1.0) if len(ends) else np.ones(len(rows))
-        )
-        out[rows] = weights[body[near]] * (1 - share[:, None])
+        holder = _HEAD if kind == "hair" else carried_by(carrier, around[close].sum(axis=0))
+        ends, share = points[edges[of[edges[:, 0]] == number, 1]], np.ones(len(rows))
+        if len(ends):
+            share = smooth_step(cKDTree(ends).query(vertices[rows])[0] / reach, 0.0, 1.0)
+        out[rows] = around * (1 - share[:, None])
         out[rows, holder] += share
+        holds[rows] = kind == "hair"
     return out.astype(np.float32)
