@@ -39,7 +39,7 @@ def shot(page: Page, name: str) -> None:
 
 def first(page: Page) -> None:
     """What somebody sees who starts it for the first time."""
-    page.page.wait_for_selector(".pictured img")
+    page.page.wait_for_selector(".pictured img", state="attached")  # a phone has it in a sheet
     page.set(1.6)
 
 

@@ -66,7 +66,9 @@ def test_it_looks_and_reaches_over_what_it_does():
     left = [end for end in limb_ends(live._body.anatomy) if end.part == "left_hand"]
     before = live.window(20)[1]
     hung = end_positions(before.motion, before.handles, left)[:, 0]
-    goal = hung[-1] + (0.05, 0.3, 0.25)
+    arm = left[0].limb
+    shoulder = before.motion.transforms(before.handles.positions)[-1, arm.upper]
+    goal = shoulder[:, :3] @ arm.joints[0] + shoulder[:, 3] + (0.05, -0.1, 0.3)  # within reach
     live.look((1.5, 1.6, 0.8))
     live.reach(goal)
     asked = live.window(30)[1]
