@@ -86,6 +86,7 @@ const KEYS: [string, string][] = [
   ["K", "shake the character, where its springs are live"],
   ["X", "touch the middle of the view with the brush"],
   ["S", "star the take"],
+  ["Arrows, Shift, 1 … 9 in Live", "walk, run, play a sentence"],
   ["Ctrl Z, Ctrl Shift Z", "undo, redo"],
 ];
 
