@@ -58,6 +58,7 @@ def test_it_does_what_it_is_told_looks_at_the_mouse_and_is_kept(page):
     page.page.keyboard.press("Escape")
     page.page.keyboard.press("2")
     assert "Now: jumps" in page.page.inner_text(".understood")
+    page.until("studio.stream().said.includes('jumps')")
 
     x, _, z = page.value(PLACE)
     page.page.keyboard.down("d")  # to the right, as it is seen
@@ -79,6 +80,7 @@ def test_it_does_what_it_is_told_looks_at_the_mouse_and_is_kept(page):
     page.page.press("input.keyed", "Enter")
     page.page.click(".play-key:has-text('bows')")
     assert "Now: bows" in page.page.inner_text(".understood")
+    page.until("studio.stream().said.includes('bows')")
 
     page.page.click("#live-end")
     page.until("studio.take.value.how === 'live' && studio.take.value.state === 'done'")
