@@ -86,6 +86,8 @@ def sentence_of(
             return f"{where}the disk is full; free some space or {elsewhere}"
         if isinstance(error, PermissionError):
             return f"{where}permission denied; choose a file or folder that you may use"
+        if error.errno == errno.ENAMETOOLONG:
+            return f"{where}the name is too long for this disk; choose a shorter one"
         return f"{where}{error.strerror or error}"
     return f"{_FAULT}: {type(error).__name__}: {error}; {debug} and report what it prints"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import difflib
 import importlib
 import inspect
@@ -10,9 +11,11 @@ import os
 import sys
 import textwrap
 import traceback
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import nullcontext, redirect_stderr, redirect_stdout, suppress
 from dataclasses import fields, is_dataclass
+from itertools import pairwise
+from types import MappingProxyType
 from typing import Any, get_type_hints
 
 from bunraku.errors import NotUnderstood, OptionError, is_fault, sentence_of
@@ -127,58 +130,99 @@ def _dispatch(words: list[str]) -> int:
     return action(_parse(kind, verb, _joined(words[len(verb) :]), target.__doc__ or summary)) or 0
 
 
+def _parse(kind: type, verb: tuple[str, ...], words: list[str], text: str) -> Any:
+    import tyro
+
+    prog, helps = " ".join(("bunraku", *verb)), bool({"-h", "--help"} & set(words))
+    if helps:
+        _explain(kind)
+    else:
+        _check_options(kind, words, prog)
+    said = io.StringIO()
+    with nullcontext() if helps else redirect_stderr(said), nullcontext() if helps else redirect_stdout(said):
+        try:
+            return tyro.cli(
+                kind, prog=prog, args=words, description=_reflowed(text),
+                config=(tyro.conf.FlagCreatePairsOff, tyro.conf.PositionalMetavarFromFieldName),
+            )  # fmt: skip
+        except SystemExit:
+            if helps:
+                raise
+    raise OptionError(f"{_first_part(said.getvalue())}; `{prog} --help` shows the options")
+
+
+def _first_part(box: str) -> str:
+    """What the option parser says first in its box: without the title, the texts of help that are set in, and all that
+    follows a rule.
+    """
+    out: list[str] = []
+    for line in box.splitlines()[1:]:
+        row = line.strip("│|").rstrip()
+        if not row.strip(" ─-") and out:
+            break
+        if row.strip(" ─-") and not row.startswith(" " * 9):
+            out.append(row.strip())
+    said = " ".join(out).rstrip(".")
+    return said[:1].lower() + said[1:]
+
+
 def _reflowed(text: str) -> str:
     """A docstring whose paragraphs are one line each."""
     return "\n\n".join(" ".join(part.split()) for part in text.strip().split("\n\n"))
 
 
-def _parse(kind: type, verb: tuple[str, ...], words: list[str], text: str) -> Any:
-    import tyro
-    from tyro import _strings
+def _explain(kind: Any) -> None:
+    """Give the fields of a command, and of the dataclasses that it holds, their docstrings as texts of help whose
+    paragraphs are one line each: the parser keeps the line breaks of docstrings that are indented.
+    """
+    texts: dict[str, str] = {}
+    for each in reversed([each for each in kind.__mro__ if is_dataclass(each)]):
+        body = ast.parse(textwrap.dedent(inspect.getsource(each))).body[0].body  # type: ignore[attr-defined]
+        for above, node in pairwise(body):
+            if isinstance(above, ast.AnnAssign) and isinstance(above.target, ast.Name) and isinstance(node, ast.Expr):
+                texts[above.target.id] = _reflowed(ast.literal_eval(node.value))
+    hints = get_type_hints(kind)
+    for each in fields(kind):
+        if is_dataclass(hints[each.name]):
+            _explain(hints[each.name])
+        elif each.name in texts:
+            each.metadata = MappingProxyType({**each.metadata, "help": texts[each.name]})  # type: ignore[assignment]
 
-    _strings.remove_single_line_breaks = _reflowed  # type: ignore[assignment]  # its own keeps the breaks of docstrings that are indented
-    config = (tyro.conf.FlagCreatePairsOff, tyro.conf.PositionalMetavarFromFieldName)
-    _check_once(kind, words)
-    return tyro.cli(
-        kind,
-        prog=" ".join(("bunraku", *verb)),
-        description=_reflowed(text),
-        args=words,
-        config=config,
-    )
 
-
-def _check_once(kind: type, words: Sequence[str]) -> None:
-    """Raise OptionError where an option that takes one path is given twice; of other options the last counts, as
-    usual in a shell.
+def _check_options(kind: type, words: Sequence[str], prog: str) -> None:
+    """Raise OptionError where an option is none, or one that takes one path is given twice; of other options the last
+    counts, as usual in a shell.
     """
     given = [word.partition("=")[0].replace("_", "-") for word in words if word.startswith("-")]
-    if len(set(given)) == len(given) and not {"-o", "--output"} <= set(given):
-        return
-    for names in _single_paths(kind):
-        repeated = [name for name in given if name in names]
+    options = list(_options(kind))
+    known = sorted({name for names, _ in options for name in names if name.startswith("--")})
+    for name in given:
+        if name.startswith("--") and name not in ("--", *known):
+            close = difflib.get_close_matches(name, known, 1)
+            hint = f"did you mean '{close[0]}'?" if close else f"`{prog} --help` lists them"
+            raise OptionError(f"there is no option '{name}'; {hint}")
+    for names, single in options:
+        repeated = [name for name in given if single and name in names]
         if len(repeated) > 1:
             raise OptionError(f"{repeated[-1]} is given {len(repeated)} times, and one is taken; leave the others out")
 
 
-def _single_paths(kind: Any) -> list[set[str]]:
-    """The names of each option that takes one path, those of the dataclasses that a verb holds among them."""
+def _options(kind: Any) -> Iterator[tuple[set[str], bool]]:
+    """The names of each option, and whether it takes one path, with the options of dataclasses that a verb holds."""
     import tyro
 
-    out: list[set[str]] = []
     hints = get_type_hints(kind, include_extras=True)
     for field in fields(kind) if is_dataclass(kind) else ():
         hint = hints[field.name]
         notes = getattr(hint, "__metadata__", ())
         if is_dataclass(getattr(hint, "__origin__", hint)):
-            out += _single_paths(getattr(hint, "__origin__", hint))
-        elif "Path" in str(hint) and tyro.conf.UseAppendAction not in notes:
-            names = {f"--{field.name.replace('_', '-')}"}
-            for note in notes:
-                names = {f"--{name}" for name in [getattr(note, "name", None)] if name} or names
-                names |= set(getattr(note, "aliases", None) or ())
-            out.append(names)
-    return out
+            yield from _options(getattr(hint, "__origin__", hint))
+            continue
+        names = {f"--{field.name.replace('_', '-')}"}
+        for note in notes:
+            names = {f"--{name}" for name in [getattr(note, "name", None)] if name} or names
+            names |= set(getattr(note, "aliases", None) or ())
+        yield names, "Path" in str(hint) and tyro.conf.UseAppendAction not in notes
 
 
 def _joined(words: list[str]) -> list[str]:

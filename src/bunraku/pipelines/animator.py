@@ -22,6 +22,7 @@ from bunraku.anatomy.scene import separated
 from bunraku.core.animation import AnimatedCharacter, Animation, RigAnimation
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion, resample
+from bunraku.core.nn.checkpoints import dated_checkpoint
 from bunraku.core.nn.layers import each_in_one_thread, one_thread
 from bunraku.core.request import SECONDS, Progress
 from bunraku.core.travel import GroundPath
@@ -315,6 +316,18 @@ class Animator:
         self.progress("handles", 1.0)
         return best
 
+    def _anatomy(self, character: Character, handles: Handles | str) -> Anatomy:
+        """The measured anatomy of a character by its handles; where these are predicted, the character keeps it, so that
+        its next sentence need not find them again.
+        """
+        if handles != "predict":
+            return Anatomy.of(character, self.handles(character, handles)).measured()
+        kept: dict[object, Anatomy] = character.__dict__.setdefault("_anatomies", {})
+        network = dated_checkpoint("handles", self.predictor.checkpoint)
+        if network not in kept:
+            kept[network] = Anatomy.of(character, self.handles(character, handles)).measured()
+        return kept[network]
+
     @one_thread()
     def body(self, character: Character, request: Request) -> Body:
         """A character as a request moves it; several runs of one character share it.
@@ -330,7 +343,7 @@ class Animator:
 
         @cache
         def on_handles() -> Anatomy:
-            return Anatomy.of(character, self.handles(character, request.handles)).measured()
+            return self._anatomy(character, request.handles)
 
         parts = own_rig(character, request, on_handles)
         if parts is not None:
