@@ -327,19 +327,31 @@ def test_unknown_sample_command_and_group(fails, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "words",
+    ("words", "sentence"),
     [
-        ["animate"],
-        ["animate", "a.glb", "walks", "--seconds", "soon"],
-        ["inspect", "a.glb", "--nonsense"],
-        [],
-        ["train"],
+        (["animate"], "missing from bunraku animate: CHARACTER; `bunraku animate --help` shows"),
+        (["animate", "a.glb", "walks", "--seconds", "soon"], "could not convert string to float: 'soon'"),
+        (["animate", "a.glb", "walks", "--secnds", "2"], "no option '--secnds'; did you mean '--seconds'?"),
+        (["animate", "a.glb", "walks", "--rig", "mine"], "'mine' for argument '--rig'. Expected one of ('auto',"),
+        (["inspect", "a.glb", "--nonsense=4"], "there is no option '--nonsense'"),
+        (["inspect", "a.glb", "b.glb"], "unrecognized options: b.glb"),
     ],
 )
-def test_usage_errors_have_status_2(capsys, words):
-    assert main(words) == 2
-    said = capsys.readouterr()
-    assert said.out + said.err and "Traceback" not in said.err
+def test_wrong_options_are_one_sentence(fails, words, sentence):
+    assert sentence in fails(*words)
+
+
+def test_usage_without_a_command_has_status_2(capsys):
+    for words in ([], ["train"]):
+        assert main(words) == 2 and "COMMAND" in capsys.readouterr().out
+
+
+def test_help_keeps_no_line_breaks_of_the_source(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "300")
+    assert main(["animate", "--help"]) == 0
+    rows = [" ".join(line.strip("│ ").split()) for line in capsys.readouterr().out.splitlines()]
+    row = next(row for row in rows if "File to write: .glb" in row)
+    assert "the handle motion), .bvh or .vrma (what the humanoid skeleton does), .vmd" in row
 
 
 def test_nothing_heavy_loads_before_the_checks(good, tmp_path):

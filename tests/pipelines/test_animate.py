@@ -63,6 +63,13 @@ def test_the_same_seed_gives_the_same_animation(person, walk):
     assert difference(other.vertices(), walk.vertices(), person.height) > 0.05
 
 
+def test_a_character_keeps_its_handles_for_the_next_sentence(person, walk):
+    fresh, stages = dataclasses.replace(person), []
+    for _ in range(2):
+        made = animate(fresh, PROMPT, progress=lambda stage, done: stages.append((stage, done)), **HOW)
+    assert stages.count(("handles", 0.0)) == 1 and np.array_equal(made.handles.weights, walk.handles.weights)
+
+
 def test_files_numbers_of_numpy_and_points_are_taken(person, tmp_path):
     path = bunraku.save_character(person, tmp_path / "person.glb")
     short = {"seconds": 0.5, "steps": 1, "candidates": np.int32(1)}

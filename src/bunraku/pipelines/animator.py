@@ -317,7 +317,7 @@ class Animator:
         return best
 
     def _anatomy(self, character: Character, handles: Handles | str) -> Anatomy:
-        """The measured anatomy of a character by its handles; where these are predicted, the character keeps it, so that
+        """The measured anatomy of a character by its handles. The character keeps it where these are predicted, so that
         its next sentence need not find them again.
         """
         if handles != "predict":
