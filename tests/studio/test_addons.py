@@ -18,6 +18,7 @@ from bunraku.files import READERS
 from bunraku.files.clips import load_animation
 from bunraku.files.presets import preset_named
 from bunraku.files.samples import sample_character
+from bunraku.language.parse import parse
 
 SCRIPT = """
 import sys, json
@@ -161,6 +162,7 @@ def test_a_sentence_from_the_node_to_a_moving_character(studio, tmp_path, monkey
 
 
 ADDON = Path(__file__).resolve().parents[2] / "src/bunraku/studio/addon/godot"
+SCENE = Path(__file__).resolve().parents[2] / "examples/godot"
 
 # Waits for the add-on's node as a running game would, and says what Godot's own reader makes of the file.
 GODOT_SCRIPT = """
@@ -254,6 +256,21 @@ func _run() -> void:
 """
 
 
+WALKER = """extends SceneTree
+func _initialize() -> void:
+	var scene: Node3D = load("res://walk.tscn").instantiate()
+	scene.address = OS.get_cmdline_user_args()[0]
+	root.add_child(scene)
+	while scene._poses.is_empty():
+		await create_timer(0.2).timeout
+	Input.action_press("ui_up")
+	await create_timer(6.0).timeout
+	var place: Vector3 = scene._skeleton.get_bone_global_pose(scene._bones[0]).origin
+	print("FOUND " + JSON.stringify({"z": place.z, "says": scene.get_node("Says").text}))
+	quit()
+"""
+
+
 def godot():
     """Godot's program, or a reason to skip."""
     named = os.environ.get("BUNRAKU_GODOT")
@@ -282,7 +299,7 @@ def test_the_command_writes_the_godot_addon(tmp_path):
 
 def test_its_scripts_are_godots_language():
     parser = pytest.importorskip("gdtoolkit.parser", reason="gdtoolkit is not installed: pip install gdtoolkit").parser
-    for path in (*ADDON.glob("*.gd"), None):
+    for path in (*ADDON.glob("*.gd"), *SCENE.glob("*.gd"), None):
         text = GODOT_SCRIPT if path is None else path.read_text(encoding="utf-8")
         assert parser.parse(text).children
     used = re.findall(r'preload\("(.+?)"\)|script="(.+?)"', "".join(one.read_text() for one in ADDON.iterdir()))
@@ -306,6 +323,26 @@ def test_it_asks_what_the_studio_answers(client):
     assert preset_named("godot").suffix == ".glb" and '"preset": "godot"' in text
     reads = set(json.loads("[" + re.search(r"READS: Array\[String\] = \[(.+)\]", text)[1] + "]"))
     assert reads <= {suffix[1:] for suffix in READERS["character"]}
+
+
+def test_the_scene_that_walks_asks_what_the_studio_answers(client):
+    text = (SCENE / "walk.gd").read_text(encoding="utf-8")
+    paths = client.get("/api/openapi.json").json()["paths"]
+    assert {"/characters", "/characters/{name}/mesh.glb", "/characters/{name}/live", "/jobs/{name}"} <= paths.keys()
+    assert set(re.findall(r'_route \+ "(.+?)"', text)) == {"/mesh.glb", "/live"} and '_route = "/characters/%s"' in text
+    schema = paths["/characters/{name}/live"]["post"]["requestBody"]["content"]["application/json"]["schema"]
+    asked = set(re.findall(r'asked\["(\w+)"\]', text)) | set(re.findall(r'"(\w+)": _', text))
+    assert asked <= set(schema["properties"]) and len(asked) == 4
+    for sentence in re.search(r"SENTENCES: .+ = \[(.+)\]", text)[1].split(", "):
+        assert parse(sentence.strip('"'), 2.0)
+
+
+def test_the_scene_that_walks_walks(studio, tmp_path):
+    godot()
+    shutil.copytree(SCENE, tmp_path / "game")
+    (tmp_path / "game" / "driver.gd").write_text(WALKER)
+    said, all_said = found_by(tmp_path / "game", "--script", "driver.gd", given=[studio.address])
+    assert "SCRIPT ERROR" not in all_said and said["z"] < -0.5 and said["says"].startswith("arrows")
 
 
 def test_a_sentence_from_godot_to_a_moving_character(studio, tmp_path):

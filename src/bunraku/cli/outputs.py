@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from bunraku.files import Preset
     from bunraku.language.sentence import Sentence
 
+LINE = 5.0
+"""Seconds between two lines about a stage that goes on; chosen by eye."""
 SHORT = 0.5
 """Stages that are over in less [s] get no line where lines are printed; chosen by eye."""
 
@@ -65,10 +67,15 @@ def stages() -> Iterator[Progress]:
 def _line_printer() -> Progress:
     started: dict[str, float] = {}
     finished: set[str] = set()
+    told = time.perf_counter()
 
     def report(stage: str, done: float) -> None:
+        nonlocal told
         now = time.perf_counter()
         took = now - started.setdefault(stage, now)
+        if done < 1 and now - told >= LINE:
+            told = now
+            print(f"{stage}: {done:.0%}", file=sys.stderr)
         if done >= 1 and stage not in finished:
             finished.add(stage)
             if took >= SHORT:
