@@ -1,6 +1,7 @@
 """Broken files for all readers: a seed number is a file, so that what a long run finds can be made again.
 
 python tests/fuzz/fuzz.py --count 100000           many files, the last line says what was found
+python tests/fuzz/fuzz.py --count 5000 --projects  projects of the studio, unpacked into a folder that is then read anew
 python tests/fuzz/fuzz.py --first 4711 --count 1   the file of one seed, kept with --keep FOLDER
 """
 
@@ -17,6 +18,8 @@ import signal
 import sys
 import tempfile
 import time
+import warnings
+import zipfile
 from collections import Counter
 from pathlib import Path
 
@@ -32,6 +35,9 @@ from motion_files import humanml3d_vectors, walk_about  # noqa: E402
 from bunraku.errors import BunrakuError  # noqa: E402
 from bunraku.files import load_character  # noqa: E402
 from bunraku.pipelines.motions.read import load_motion  # noqa: E402
+from bunraku.studio.projects import unpack_project  # noqa: E402
+from bunraku.studio.state import SAMPLE  # noqa: E402
+from bunraku.studio.store import Store  # noqa: E402
 
 SECONDS, PER_BYTE, BASE = 10.0, 4, 300e6
 FAULTS = ("foreign", "slow", "large", "outside")
@@ -103,6 +109,25 @@ def seeds() -> list[tuple[str, bytes]]:
     ]
 
 
+def projects() -> list[tuple[str, bytes]]:
+    """The studio's sample project with short files, twice, since a project is broken by what it says and as a ZIP."""
+    said, out = json.loads(zipfile.ZipFile(SAMPLE).read("project.json")), io.BytesIO()
+    with zipfile.ZipFile(SAMPLE) as sample, zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as project:
+        for name in sample.namelist():
+            project.writestr(name, sample.read(name)[: 10_000 if name == "project.json" else 300])
+    return [(f"{said['character']['name']}.bunraku", out.getvalue())]
+
+
+def open_project(path: Path) -> None:
+    """Unpack a project into a studio's folder, which is then read as after a restart."""
+    with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+        store = Store(Path(folder))
+        try:
+            unpack_project(store, path)
+        finally:
+            Store(Path(folder))
+
+
 BVH = b"""HIERARCHY
 ROOT Hips
 {
@@ -164,6 +189,8 @@ def _numbered(rng: random.Random, data: bytes, corpus: object) -> bytes:
 
 def _json_changed(rng: random.Random, data: bytes, corpus: object) -> bytes:
     """One value of the JSON of a glTF or GLB changed; other files as in `_numbered`."""
+    if data[:4] == b"PK\x03\x04" and b"project.json" in data:
+        return _project_changed(rng, data)
     glb = data[:4] == b"glTF" and len(data) > 20
     length = int.from_bytes(data[12:16], "little") if glb else len(data)
     try:
@@ -201,6 +228,30 @@ def _json_changed(rng: random.Random, data: bytes, corpus: object) -> bytes:
     return b"".join([b"glTF", *sizes, b"JSON", text, rest])
 
 
+def _project_changed(rng: random.Random, data: bytes) -> bytes:
+    """What a project says changed at one place, or one of its files missing, twice there, or under another name."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            files = [(name, archive.read(name)) for name in archive.namelist()]
+    except Exception:  # broken before
+        return _numbered(rng, data, None)
+    number, choice = rng.randrange(len(files)), rng.randrange(8)
+    name, inside = files[number]
+    if choice == 0:
+        del files[number]
+    elif choice == 1:
+        files.append((name, inside))
+    elif choice == 2:
+        files[number] = rng.choice(("../out.bin", "/tmp/out.bin", f"character/../../{name}", "a" * 300, "./")), inside
+    else:
+        files = [(at, _json_changed(rng, text, None) if at == "project.json" else text) for at, text in files]
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+        for each, text in files:
+            archive.writestr(each, text)
+    return out.getvalue()
+
+
 class TooSlow(BaseException):
     """Raised by the timer."""
 
@@ -210,6 +261,7 @@ def check(path: Path) -> set[str]:
     global _watching
     faults: set[str] = set()
     read = load_motion if path.suffix in (".bvh", ".npy", ".npz") else load_character
+    read = open_project if path.suffix == ".bunraku" else read
     size = path.stat().st_size
     before, resting = time.process_time(), _peak(reset=True)
     _opened.clear()
@@ -254,13 +306,16 @@ def _peak(reset: bool = False) -> int:
         return 0
 
 
-def run(first: int, count: int, keep: Path | None = None) -> Counter[str]:
+def run(
+    first: int, count: int, keep: Path | None = None, corpus: list[tuple[str, bytes]] | None = None
+) -> Counter[str]:
     """Read the files of so many seeds; how often there was each fault, by name, and "files"."""
     if not getattr(run, "hooked", False):
         sys.addaudithook(_watch)
         run.hooked = True  # type: ignore[attr-defined]
     logging.disable(logging.WARNING)
-    corpus = seeds()
+    warnings.simplefilter("ignore")  # names that are twice in a ZIP
+    corpus = corpus or seeds()
     found: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as scratch, np.errstate(all="ignore"):
         folder = Path(scratch) / "files"
@@ -292,8 +347,9 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=1000)
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--keep", type=Path, help="folder for the files")
+    parser.add_argument("--projects", action="store_true", help="projects of the studio in place of files")
     args = parser.parse_args()
-    found = run(args.first, args.count, args.keep)
+    found = run(args.first, args.count, args.keep, projects() if args.projects else seeds())
     print(
         f"{found['files']:,} files: {found['foreign']} foreign exceptions, {found['slow']} over {SECONDS:.0f} s of "
         f"processor time, {found['large']} over {PER_BYTE} x the file + 300 MB, {found['outside']} paths outside"

@@ -13,6 +13,12 @@ def test_no_broken_file_does_harm():
     assert {fault: found[fault] for fault in fuzz.FAULTS} == dict.fromkeys(fuzz.FAULTS, 0)
 
 
+def test_no_broken_project_does_harm():
+    found = fuzz.run(0, 60, corpus=fuzz.projects())
+    assert found["files"] == 60
+    assert {fault: found[fault] for fault in fuzz.FAULTS} == dict.fromkeys(fuzz.FAULTS, 0)
+
+
 @pytest.mark.parametrize("name", [name for name, _ in fuzz.seeds()])
 def test_the_files_are_good_before_they_are_broken(tmp_path, name):
     path = tmp_path / name
