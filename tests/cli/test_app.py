@@ -291,6 +291,7 @@ def test_output_folder_missing_or_a_file(fails, good, tmp_path):
     folder = tmp_path / "folder.glb"
     folder.mkdir()
     assert "folder" in fails("rig", good, "-o", folder)
+    assert "the name is too long" in fails("animate", good, "walks", "-o", tmp_path / f"{'x' * 264}.glb")
 
 
 def test_input_is_not_overwritten(fails, good):

@@ -12,7 +12,7 @@ import sys
 import textwrap
 import traceback
 from collections.abc import Iterator, Sequence
-from contextlib import nullcontext, redirect_stderr, redirect_stdout, suppress
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from dataclasses import fields, is_dataclass
 from itertools import pairwise
 from types import MappingProxyType
@@ -133,21 +133,22 @@ def _dispatch(words: list[str]) -> int:
 def _parse(kind: type, verb: tuple[str, ...], words: list[str], text: str) -> Any:
     import tyro
 
-    prog, helps = " ".join(("bunraku", *verb)), bool({"-h", "--help"} & set(words))
-    if helps:
+    prog = " ".join(("bunraku", *verb))
+    if {"-h", "--help"} & set(words):
         _explain(kind)
     else:
         _check_options(kind, words, prog)
     said = io.StringIO()
-    with nullcontext() if helps else redirect_stderr(said), nullcontext() if helps else redirect_stdout(said):
-        try:
+    try:
+        with redirect_stdout(said), redirect_stderr(said):
             return tyro.cli(
                 kind, prog=prog, args=words, description=_reflowed(text),
                 config=(tyro.conf.FlagCreatePairsOff, tyro.conf.PositionalMetavarFromFieldName),
             )  # fmt: skip
-        except SystemExit:
-            if helps:
-                raise
+    except SystemExit as left:
+        if not left.code:
+            print(said.getvalue(), end="")
+            raise
     raise OptionError(f"{_first_part(said.getvalue())}; `{prog} --help` shows the options")
 
 

@@ -142,11 +142,11 @@ def parse_span(text: str) -> tuple[float, float]:
     start, colon, end = text.partition(":")
     try:
         span = float(start), float(end)
+        if colon and 0 <= span[0] < span[1] < math.inf:
+            return span
     except ValueError:
-        span = math.nan, math.nan
-    if not colon or not (math.isfinite(span[0]) and math.isfinite(span[1]) and 0 <= span[0] < span[1]):
-        raise OptionError(f"--span is two seconds with a colon between, such as 1.0:3.0, not '{text}'")
-    return span
+        pass
+    raise OptionError(f"--span is two seconds with a colon between, such as 1.0:3.0, not '{text}'")
 
 
 @dataclass(frozen=True)

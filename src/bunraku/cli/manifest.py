@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bunraku.core.files import remove_leftovers
+from bunraku.core.files import is_alive, remove_leftovers
 from bunraku.core.request import from_json, to_json
 from bunraku.errors import BunrakuError, FormatError
 
@@ -224,7 +224,7 @@ class _Run:
     @property
     def alive(self) -> bool:
         """Whether it still runs."""
-        return _runs(self.process) and _born(self.process) == self.born
+        return is_alive(self.process) and _born(self.process) == self.born
 
 
 @contextmanager
@@ -295,25 +295,6 @@ def _read(file: Path) -> _Run | None:
         return from_json(_Run, json.loads(file.read_text(encoding="utf-8")))
     except (OSError, ValueError, RecursionError, BunrakuError):
         return None
-
-
-def _runs(process: int) -> bool:
-    """Whether there is a process of this id."""
-    if os.name == "nt":
-        import ctypes
-
-        kernel = ctypes.windll.kernel32  # type: ignore[attr-defined,unused-ignore]
-        handle = kernel.OpenProcess(0x1000, False, process)
-        if handle:
-            kernel.CloseHandle(handle)
-        return bool(handle)
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except (OSError, OverflowError):  # another user's
-        return True
-    return True
 
 
 def _born(process: int) -> str:

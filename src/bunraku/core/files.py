@@ -220,7 +220,7 @@ def remove_leftovers(folder: Path) -> int:
             if match is None or not entry.is_file(follow_symlinks=False):
                 continue
             with suppress(OSError):
-                gone = match["machine"] == _machine() and not _alive(int(match["process"]))
+                gone = match["machine"] == _machine() and not is_alive(int(match["process"]))
                 if gone or time.time() - entry.stat().st_mtime > STALE:
                     os.unlink(entry.path)
                     removed += 1
@@ -238,13 +238,19 @@ def _machine() -> str:
     return hashlib.sha256(platform.node().encode()).hexdigest()[:6]
 
 
-def _alive(process: int) -> bool:
+def is_alive(process: int) -> bool:
     """Whether a process of this machine runs. One that has ended, but whose parent has not collected it, does not."""
+    if os.name == "nt":  # where os.kill ends the process
+        import ctypes
+
+        kernel = ctypes.windll.kernel32  # type: ignore[attr-defined,unused-ignore]
+        handle = kernel.OpenProcess(0x1000, False, process)
+        return bool(handle and kernel.CloseHandle(handle))
     try:
         os.kill(process, 0)
     except ProcessLookupError:
         return False
-    except OSError:
+    except (OSError, OverflowError):  # another user's
         return True
     with suppress(OSError):  # elsewhere than on Linux the system alone knows
         return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
