@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import bunraku
-from bunraku.cli import main
+from bunraku.cli import main, outputs
 from bunraku.cli.app import all_verbs
 from bunraku.cli.clips import Samples
 from bunraku.cli.outputs import slug
@@ -110,6 +110,14 @@ def test_slug():
     assert slug("!!") == "motion"
     assert len(slug("x" * 500)) <= 40 and len(slug("word " * 100)) <= 40
     assert slug("word " * 100) != slug("word " * 99)  # what begins alike is told apart
+
+
+def test_a_long_stage_tells_how_far_it_is(capsys, monkeypatch):
+    monkeypatch.setattr(outputs, "LINE", 0.0)
+    with outputs.stages() as report:
+        for done in (0.0, 0.5, 1.0):
+            report("stretches", done)
+    assert "stretches: 50%" in capsys.readouterr().err
 
 
 def test_closed_streams_are_no_fault(good):
