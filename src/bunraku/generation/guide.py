@@ -11,10 +11,12 @@ import numpy as np
 
 from bunraku.core.geometry.curves import smooth_step
 from bunraku.generation.composition import overlaid, unturned
-from bunraku.generation.features import FEATURE_SIZE, FeatureStatistics, encode, feature_weights, mirror
+from bunraku.generation.features import FEATURE_SIZE, FeatureStatistics, decode, encode, feature_weights, mirror
 from bunraku.generation.pack import FPS, ExamplePack
 from bunraku.generation.retrieve import MOST_TIMES, Found, retrieve
 from bunraku.generation.splicing import END, held, join_point, on_one_leg, played, rests, splice
+from bunraku.generation.track import Track
+from bunraku.generation.verifier import onset
 from bunraku.gestures.catalogue import STANDING, at_part
 from bunraku.gestures.interactions import interaction_gesture
 from bunraku.gestures.limb_gesture import in_stance, limb_gesture
@@ -35,6 +37,7 @@ _LEAD = 10  # most frames of standing before an action that is done once: it beg
 CROUCH = 0.12  # height [m] by which a person who stands is lower at most
 AIRBORNE = 0.1  # height of the root over standing [m] from which on a body cannot stay
 GOES = 1.0  # speed [m/s] of a person who walks on
+WAIT = 0.3  # s for which an example may rest before it begins (`verifier.onset`); chosen by eye
 EASE = 0.6  # share of a pose's change that is left from frame to frame where a motion comes to rest
 SHORTEST_LOOP = 12  # shorter loops are a part of a movement, half a punch [frames]
 NEAR = 1.0
@@ -102,6 +105,8 @@ def laid(
         seated = _performed(pack, in_stance(STANDING, stance), len(features), random, AS_USUAL)
         features = overlaid(seated, features, ("upper body", "arms", "head"))
     example = pack.examples[found.number]
+    if example.loop is None:
+        features = _begun(features)
     # what the network may have seen as little of as the ranker, and what says the same, leads to the end
     made = np.full(frames, example.unranked or found.close)
     if found.times > 1 and not closed:
@@ -231,6 +236,12 @@ def _crouches(here: float, there: float) -> bool:
 def _rise(frames: int) -> np.ndarray:
     """Shares of frames before something that is held: none, and a rise at the end."""
     return smooth_step(np.clip(1 - (frames - np.arange(frames)) / _FADE, 0, 1)).astype(np.float32)
+
+
+def _begun(features: np.ndarray) -> np.ndarray:
+    """A motion (N, D) from shortly before it begins."""
+    late = round((onset(Track.of(decode(features, FPS))) - WAIT) * FPS)
+    return features[late:] if 0 < late < len(features) - SHORTEST_LOOP else features
 
 
 def repeated(features: np.ndarray, times: int) -> np.ndarray:

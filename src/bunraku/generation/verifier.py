@@ -9,7 +9,7 @@ import numpy as np
 
 from bunraku.core.motion import HandleMotion
 from bunraku.generation.track import SIDES, Track, smooth
-from bunraku.language.lexicon import lexicon, stays_down
+from bunraku.language.lexicon import goes_ahead, lexicon, stays_down
 from bunraku.language.posing import Posing
 from bunraku.language.sentence import Clause
 
@@ -35,7 +35,7 @@ TURNS = frozenset(("turn", "turn around", "spin", "circle", "dance", "salsa", "b
 _BEGUN = 0.7  # s until a motion has begun; of the same 144 takes, 1 % then began later than a second
 _LATE = 0.8  # s later, nothing of the claim is left; the same
 _LIVELY = 0.4  # m/s, mean speed of the body's points in a slow walk, from which on any motion has begun
-_DONE = 0.6  # m/s, of the fastest point in what is done once; people who stand ready stay below half of it
+_DONE = 0.3  # m/s, of the fastest point in what is done once, slowly; chosen by eye
 _REST = 1.2  # s that a motion may rest at its end; people who watched takes called 1.5 s idle
 _CALM = 0.2  # share of the highest speed below which a body rests
 _FLAT = 0.3  # m over the ground, below which the ankles of a body are that lies flat
@@ -180,7 +180,8 @@ def _way(clause: Clause, track: Track) -> float | None:
     if "forward" in clause.cues:
         return min(ahead / _WALK, _stays(track) if clause.locomotion in _ON_FOOT and clause.count is None else 1)
     on_foot = clause.locomotion in _ON_FOOT and "halts" not in clause.traits
-    return _stays(track) if on_foot else None
+    in_place = bool(clause.actions) and not goes_ahead(clause.actions) and TURNS.isdisjoint(clause.actions)
+    return _stays(track) if on_foot and not in_place else None
 
 
 def _stays(track: Track) -> float:
@@ -253,7 +254,7 @@ def _begins(clause: Clause, track: Track) -> float | None:
 def _done(clause: Clause, track: Track) -> float | None:
     """A body does what is done once, and does not only stand ready for it."""
     rows = lexicon().actions
-    if not any(rows[action].seconds for action in clause.actions if action in rows):
+    if asks_to_turn(clause) or not any(rows[action].seconds for action in clause.actions if action in rows):
         return None
     points = np.stack(list(track.points.values()), axis=1)
     speed = np.linalg.norm(np.gradient(points, axis=0), axis=-1).max(axis=1) * track.fps
