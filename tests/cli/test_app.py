@@ -343,11 +343,19 @@ def test_unknown_sample_command_and_group(fails, tmp_path):
         (["animate", "a.glb", "walks", "--secnds", "2"], "no option '--secnds'; did you mean '--seconds'?"),
         (["animate", "a.glb", "walks", "--rig", "mine"], "'mine' for argument '--rig'. Expected one of ('auto',"),
         (["inspect", "a.glb", "--nonsense=4"], "there is no option '--nonsense'"),
-        (["inspect", "a.glb", "b.glb"], "unrecognized options: b.glb"),
+        (["inspect", "a.glb", "b.glb"], "not understood: b.glb"),
     ],
 )
 def test_wrong_options_are_one_sentence(fails, words, sentence):
     assert sentence in fails(*words)
+
+
+def test_first_attempts_are_answered_sensibly(fails, good, monkeypatch):
+    monkeypatch.chdir(good.parent)
+    assert "where a sentence is expected; the character comes first" in fails("animate", "walks", good.name)
+    assert "`bunraku samples person -o .` writes the sample" in fails("animate", "person", "walks")
+    assert "did you mean `bunraku animate good.glb ...`?" in fails(good.name, "walks")
+    assert "no option '--play'; `bunraku clips --help` lists them" in fails("clips", "dance", "--play")
 
 
 def test_usage_without_a_command_has_status_2(capsys):

@@ -116,6 +116,8 @@ def _dispatch(words: list[str]) -> int:
         verbs = all_verbs()
         group = {key: value for key, value in verbs.items() if key[0] == words[0]}
         if not group:
+            if os.path.isfile(words[0]):
+                raise OptionError(f"a command stands first; did you mean `bunraku animate {words[0]} ...`?")
             raise OptionError(_unknown("command", words[0], sorted({key[0] for key in verbs})))
         if len(words) < 2 or words[1] in ("-h", "--help"):
             _print_help(group, words[0])
@@ -163,7 +165,7 @@ def _first_part(box: str) -> str:
             break
         if row.strip(" ─-") and not row.startswith(" " * 9):
             out.append(row.strip())
-    said = " ".join(out).rstrip(".")
+    said = " ".join(out).rstrip(".").replace("Unrecognized options", "Not understood")
     return said[:1].lower() + said[1:]
 
 
@@ -199,8 +201,8 @@ def _check_options(kind: type, words: Sequence[str], prog: str) -> None:
     known = sorted({name for names, _ in options for name in names if name.startswith("--")})
     for name in given:
         if name.startswith("--") and name not in ("--", *known):
-            close = difflib.get_close_matches(name, known, 1)
-            hint = f"did you mean '{close[0]}'?" if close else f"`{prog} --help` lists them"
+            close = difflib.get_close_matches(name[2:], [option[2:] for option in known], 1)
+            hint = f"did you mean '--{close[0]}'?" if close else f"`{prog} --help` lists them"
             raise OptionError(f"there is no option '{name}'; {hint}")
     for names, single in options:
         repeated = [name for name in given if single and name in names]

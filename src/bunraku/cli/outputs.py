@@ -126,6 +126,11 @@ def check_sequence(prompt: str, seconds: float, force: bool, named: bool = False
     WHOLE.check(seconds, "--seconds")
     if named:
         return replace(check_sequence(split_name(prompt)[1], seconds, force), prompt=prompt)
+    if len(prompt) < 200 and Path(prompt).suffix and os.path.isfile(prompt):
+        raise OptionError(
+            f"'{prompt}' is a file where a sentence is expected; the character comes first, then what it does, and "
+            "--prompts reads sentences from a file"
+        )
     if not prompt.strip() or ";" not in prompt:
         check_prompt(prompt)
     return parse(prompt, seconds, force)
@@ -134,7 +139,10 @@ def check_sequence(prompt: str, seconds: float, force: bool, named: bool = False
 def check_input(path: Path) -> None:
     """Raise FormatError unless this is a plain file that can be opened, is not empty, and is not too large."""
     from bunraku.core import files
+    from bunraku.files import sample_files
 
+    if not path.exists() and str(path) in sample_files():
+        raise FormatError(path, f"there is no such file; `bunraku samples {path} -o .` writes the sample")
     files.check_input(path)
     if not os.access(path, os.R_OK):
         raise FormatError(path, "you may not read this file; change its permissions")
