@@ -367,11 +367,8 @@ def _character(character: Character, unit: str) -> dict[str, Any]:
     }  # fmt: skip
     if character.rig is not None:
         influences = int((character.rig.weights > 0).sum(axis=1).max(initial=0))
-        facts["rig"] = {
-            "joints": len(character.rig.names),
-            "influences": influences,
-            "names": list(character.rig.names),
-        }
+        names = list(character.rig.names)
+        facts["rig"] = {"joints": len(names), "influences": influences, "names": names}
     return facts | apparel_facts(character)
 
 
@@ -398,20 +395,15 @@ def _orientation(character: Character) -> dict[str, Any]:
     except WeightsError as error:
         axes = {"up": "+y", "front": "+z", "taken_up": "+y", "taken_front": "+z"}
         return {**axes, "up_confidence": None, "front_confidence": None, "note": f"assumed: {error}"}
-    guess, taken = resolved.guess, {"taken_up": resolved.up, "taken_front": resolved.front}
-    if guess is None:
-        note = f"up {resolved.up.upper()}, front {resolved.front.upper()}, as the file of corrections says"
-        return {
-            "up": resolved.up,
-            "front": resolved.front,
-            "up_confidence": 1,
-            "front_confidence": 1,
-            **taken,
-            "note": note,
-        }
+    up, front, sure = resolved.up, resolved.front, (1.0, 1.0)
+    if resolved.guess is None:
+        note = f"up {up.upper()}, front {front.upper()}, as the file of corrections says"
+    else:
+        guess = resolved.guess
+        up, front, sure = guess.up, guess.front, (guess.up_confidence, guess.front_confidence)
     return {
-        "up": guess.up, "front": guess.front, "up_confidence": round(guess.up_confidence, 3),
-        "front_confidence": round(guess.front_confidence, 3), **taken, "note": note,
+        "up": up, "front": front, "up_confidence": round(sure[0], 3), "front_confidence": round(sure[1], 3),
+        "taken_up": resolved.up, "taken_front": resolved.front, "note": note,
     }  # fmt: skip
 
 
@@ -439,18 +431,16 @@ def _document(document: Document) -> dict[str, Any]:
         return round(max(ends, default=0.0), 3)
 
     return {
-        "generator": str(document.tree["asset"].get("generator", "")),
-        "meshes": len(document.items("meshes")),
+        "generator": str(document.tree["asset"].get("generator", "")), "meshes": len(document.items("meshes")),
         "primitives": sum(len(document.objects(mesh, "primitives")) for mesh in document.items("meshes")),
         "materials": [name for name, _ in named("materials")],
-        "textures": len(document.items("textures")),
-        "skins": len(document.items("skins")),
+        "textures": len(document.items("textures")), "skins": len(document.items("skins")),
         "animations": [
             {"name": name, "seconds": seconds(entry), "channels": len(document.objects(entry, "channels"))}
             for name, entry in named("animations")
         ],
         "extensions": sorted(str(name) for name in document.tree.get("extensionsUsed", [])),
-    }
+    }  # fmt: skip
 
 
 def _print(facts: dict[str, object]) -> None:

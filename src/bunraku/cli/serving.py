@@ -84,17 +84,11 @@ class Tools:
         return Answer({"files": names[:MOST_FILES]})
 
     def animate(
-        self,
-        character: str,
-        sentence: str,
-        output: str = "",
-        fps: float = 30.0,
-        sampling: Sampling = Sampling(),  # noqa: B008  frozen
-        constraints: list[dict[str, Any]] = [],  # noqa: B006  only read
+        self, character: str, sentence: str, output: str = "", fps: float = 30.0,
+        sampling: Sampling = Sampling(), constraints: list[dict[str, Any]] = [],  # noqa: B006, B008  only read, frozen
         apparel: Apparel = Apparel(),  # noqa: B008  frozen
-        rig: Literal["auto", "own", "handles"] = "auto",
-        force: bool = False,
-    ) -> Answer:
+        rig: Literal["auto", "own", "handles"] = "auto", force: bool = False,
+    ) -> Answer:  # fmt: skip
         """Make a character do what a sentence says and write it (.glb, .fbx, .usdc, .bvh, .vrma, ...); gives a picture
         of six moments.
 
@@ -124,16 +118,10 @@ class Tools:
         return self._written(animation, target, fps, list(dict.fromkeys(notes)))
 
     def transfer(
-        self,
-        character: str,
-        motion: str,
-        output: str = "",
-        fps: float = 30.0,
-        onto: Literal["auto", "handles", "rig"] = "auto",
-        apparel: Apparel = Apparel(),  # noqa: B008  frozen
-        clip: str = "0",
-        names: dict[str, str] = {},  # noqa: B006  only read
-    ) -> Answer:
+        self, character: str, motion: str, output: str = "", fps: float = 30.0,
+        onto: Literal["auto", "handles", "rig"] = "auto", apparel: Apparel = Apparel(),  # noqa: B008  frozen
+        clip: str = "0", names: dict[str, str] = {},  # noqa: B006  only read
+    ) -> Answer:  # fmt: skip
         """Put a motion on a character and write it; gives a picture of six moments.
 
         Args:
