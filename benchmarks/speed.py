@@ -91,8 +91,7 @@ def sampling_step() -> tuple[float, float]:
     """Seconds of one guided prediction of x0, ours and the reference's."""
     import numpy as np
 
-    from bunraku.core.nn.layers import one_thread
-    from bunraku.generation.layers import Condition
+    from bunraku.core.nn.layers import Condition, one_thread
     from bunraku.generation.networks import Networks
     from bunraku.generation.sampler import row_noise
 

@@ -26,8 +26,8 @@ from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES
 from bunraku.core.geometry.rotations import matrix_from_axis_angle, matrix_to_6d
 from bunraku.core.motion import HandleMotion
 from bunraku.core.nn.layers import unit
+from bunraku.generation.denoiser import DenoiserConfig
 from bunraku.generation.features import decode, encode
-from bunraku.generation.layers import DenoiserConfig
 from bunraku.language.encoders import TextBatch
 
 # Characters are read-only, so tests share the samples.

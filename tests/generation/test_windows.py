@@ -8,10 +8,10 @@ import pytest
 from bunraku.core.body.layout import HANDLE_COUNT
 from bunraku.core.geometry.rotations import matrix_from_axis_angle, matrix_y
 from bunraku.core.motion import HandleMotion
+from bunraku.core.nn.layers import Condition
 from bunraku.core.travel import closed_loop, in_place, moved, placed_at, repeated
 from bunraku.generation.candidates import arrive
 from bunraku.generation.features import FEATURE_SIZE, decode
-from bunraku.generation.layers import Condition
 from bunraku.generation.sampler import Solver, alphas_cumprod
 from bunraku.generation.windows import plan_windows, sample_plans
 from bunraku_lab.evaluation.motion.metrics import posed_positions

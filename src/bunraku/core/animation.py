@@ -13,10 +13,10 @@ from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 
-from bunraku.core.character import Character, Handles, Rig, frozen_array
+from bunraku.core.character import Character, Handles, Rig
 from bunraku.core.geometry.curves import smooth_step
 from bunraku.core.geometry.rotations import Resampling, axis_angle_from_matrix, matrix_from_axis_angle, matrix_y
-from bunraku.core.motion import HandleMotion, check_rate, resample
+from bunraku.core.motion import HandleMotion, check_rate, frozen_array, resample
 from bunraku.core.saving import Shown
 from bunraku.core.skinning import skin
 from bunraku.errors import CharacterError, MotionError
@@ -121,7 +121,7 @@ class RigAnimation(Shown):
         joints = len(self.character.rig.names)
         for name, tail in (("rotations", (joints, 3, 3)), ("translations", (joints, 3))):
             shape = len(self.rotations), *tail
-            array = frozen_array(getattr(self, name), np.float32, shape, f"bone {name}", MotionError)
+            array = frozen_array(getattr(self, name), shape, f"bone {name}", error=MotionError)
             object.__setattr__(self, name, array)
         if not len(self.rotations):
             raise MotionError("a motion needs at least one frame")
@@ -266,7 +266,7 @@ class PointAnimation(Shown):
 
     def __post_init__(self) -> None:
         shape = (len(self.animation.motion), len(self.animation.character.vertices), 3)
-        object.__setattr__(self, "offsets", frozen_array(self.offsets, np.float32, shape, "offsets", MotionError))
+        object.__setattr__(self, "offsets", frozen_array(self.offsets, shape, "offsets", error=MotionError))
 
     @classmethod
     def of_vertices(cls, animation: Animation, vertices: np.ndarray) -> PointAnimation:

@@ -5,19 +5,45 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
 
-from bunraku.core.character import frozen_array
 from bunraku.core.geometry.rotations import Resampling
 from bunraku.core.saving import Saved
 from bunraku.core.skinning import handle_offsets, posed_points
-from bunraku.errors import MotionError, OptionError
+from bunraku.errors import CharacterError, MotionError, OptionError
 
 
-def _array(value: Any, shape: tuple[int | None, ...], what: str, dtype: Any = np.float32) -> np.ndarray:
-    return frozen_array(value, dtype, shape, what, MotionError)
+def frozen_array(
+    array: Any,
+    shape: tuple[int | None, ...],
+    what: str,
+    dtype: Any = np.float32,
+    error: type[MotionError] | None = None,
+) -> np.ndarray:
+    """The array as a read-only one of this type and shape; None in the shape stands for any length.
+
+    Raises:
+        CharacterError: It has another shape.
+        error: The same, or a value is not finite, where an error of motions is given.
+    """
+    out = np.ascontiguousarray(array, dtype=dtype)
+    wrong = out.ndim != len(shape)
+    for have, want in zip(out.shape, shape, strict=False):
+        wrong = wrong or (want is not None and have != want)
+    if wrong:
+        raise (error or CharacterError)(f"{what} must have shape {shape} with None for any length, not {out.shape}")
+    if error is not None and not np.isfinite(out).all():
+        raise error(f"{what} holds values that are not numbers")
+    if out is array:
+        out = out.view()
+    out.flags.writeable = False
+    return out
+
+
+_array = partial(frozen_array, error=MotionError)
 
 
 def check_rate(fps: float) -> None:

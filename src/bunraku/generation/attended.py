@@ -12,10 +12,9 @@ from functools import cached_property
 import numpy as np
 
 from bunraku.errors import WeightsError
-from bunraku.generation.denoiser import RetrievedExamples
+from bunraku.generation.denoiser import DenoiserConfig, RetrievedExamples
 from bunraku.generation.extractor import RADIUS, Extractor, load_ranker, sentence_vectors
 from bunraku.generation.features import FeatureStatistics, mirror
-from bunraku.generation.layers import DenoiserConfig
 from bunraku.generation.pack import ExamplePack, load_examples
 from bunraku.language.captions import mirror_words
 from bunraku.language.encoders import TextBatch, TextEncoder, text_encoder

@@ -12,22 +12,70 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.core.body.layout import HANDLE_PARENTS
+from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_PARENTS
 from bunraku.core.body.reference import capped
 from bunraku.core.geometry.rotations import matrix_from_6d
-from bunraku.core.nn.checkpoints import fitting_config, load_checkpoint, read_config
-from bunraku.core.nn.layers import Memory, Norm, Rotary, Weights, hidden_by, normed, silu
-from bunraku.errors import WeightsError
-from bunraku.generation.features import ROOT_SIZE
-from bunraku.generation.layers import (
-    TRAINING_STEPS,
+from bunraku.core.nn.checkpoints import config_of, fitting_config, load_checkpoint, read_config
+from bunraku.core.nn.layers import (
     Condition,
     DecoderLayer,
-    DenoiserConfig,
-    denoiser_config,
+    Memory,
+    Norm,
+    Rotary,
+    Weights,
+    hidden_by,
+    normed,
     rotary_positions,
+    silu,
     waves,
-)
+)  # fmt: skip
+from bunraku.errors import WeightsError
+from bunraku.generation.features import FEATURE_SIZE, ROOT_SIZE
+
+TRAINING_STEPS = 1000  # of noise, from the clean motion on; a sampler visits some of them
+
+_RETIRED = ("architecture", "convolution")
+"""Fields of older checkpoints; what they switched on had weights of its own, by which it is refused."""
+
+
+@dataclass(frozen=True)
+class DenoiserConfig:
+    """All that builds a denoiser; a checkpoint carries it."""
+
+    width: int = 256  # size of a token, d
+    layers: int = 8  # decoder layers
+    heads: int = 4  # attention heads
+    feedforward: int = 1024  # inner size of the feed-forward blocks
+    frames: int = 196  # longest motion in one pass
+    frames_per_token: int = 4  # frames that share a token
+    features: int = FEATURE_SIZE  # numbers a frame, D
+    handles: int = HANDLE_COUNT  # mesh handles, K
+    mesh_features: int = 448  # size of f_phi
+    text_encoder: str = "all-MiniLM-L6-v2"  # name of the text encoder that it was trained with
+    # text_size, pooled_size: sizes of its tokens and of its sentence vector
+    text_size: int = 384
+    pooled_size: int = 384
+    fps: float = 20.0  # frames a second [1/s]
+    adaptation_mesh: bool = False  # whether the adaptation's linear layer sees the mesh token beside the hidden state
+    # output of that layer: "root", offsets in the root's frame as in the paper; or "joints", how far the joint between
+    # each handle and its parent should be moved, which gives `joint_offsets`
+    adaptation_frame: str = "root"
+    examples: int = 0  # captured examples, retrieved for the sentence, that motion tokens attend to; 0 for none
+
+
+def denoiser_config(data: Mapping[str, object]) -> DenoiserConfig:
+    """The config of a checkpoint, also one with fields that are no longer in use.
+
+    Raises:
+        OptionError: As of `config_of`.
+    """
+    return config_of(DenoiserConfig, {name: value for name, value in data.items() if name not in _RETIRED})
+
+
+PRESETS: dict[str, DenoiserConfig] = {
+    "small": DenoiserConfig(),
+    "paper": DenoiserConfig(width=512, feedforward=1024, frames_per_token=1),
+}
 
 EXAMPLE_TOKENS = 2
 """Motion tokens whose frames share one token of an example: examples need less detail, and attention to them costs
@@ -162,9 +210,10 @@ class Denoiser:
         self.text_in = weights.linear("text_in", config.text_size, width)
         self.null_text = weights.array("null_text", width)
         self.steer = weights.linear("steer", width, 9 * width)
+        shown = config.examples > 0
         self.layers = [
-            DecoderLayer(config, weights.part(f"layers.{index}"), examples=config.examples > 0 and index % 2 == 1)
-            for index in range(config.layers)
+            DecoderLayer(width, config.heads, config.feedforward, part, shown, shown and index % 2 == 1)
+            for index, part in enumerate(weights.part(f"layers.{number}") for number in range(config.layers))
         ]
         self.final = weights.linear("final", width, 2 * width)
         self.steer_more = None

@@ -12,9 +12,8 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from bunraku.core.nn.layers import parallel
-from bunraku.generation.denoiser import Denoiser, RetrievedExamples
+from bunraku.generation.denoiser import TRAINING_STEPS, Denoiser, RetrievedExamples
 from bunraku.generation.features import FeatureStatistics
-from bunraku.generation.layers import TRAINING_STEPS
 from bunraku.language.encoders import TextBatch
 
 _BITS = 24

@@ -18,7 +18,7 @@ from typing import Protocol
 import numpy as np
 
 from bunraku.core.nn.checkpoints import dated, halves_of
-from bunraku.core.nn.layers import Linear, Norm, PostNorm, unit
+from bunraku.core.nn.layers import Linear, Norm, PostNorm, through, unit
 from bunraku.errors import MissingExtraError, WeightsError
 from bunraku.language.lexicon import lexicon, said_cues
 from bunraku.language.tokenizer import WordPieces, encoder_file, read_header
@@ -204,10 +204,7 @@ class MiniLMEncoder:
 
     def hidden(self, sentence: str, depth: int) -> np.ndarray:
         """Tokens of a sentence behind the first `depth` layers, shape (L, 384), float32."""
-        x = self.embedded(self.numbers(sentence))[None]
-        for layer in self._layers[:depth]:
-            x = layer(x)
-        return np.asarray(x[0])
+        return np.asarray(through(self._layers[:depth], self.embedded(self.numbers(sentence))[None])[0])
 
     def _compute(self, sentence: str) -> _Encoded:
         penultimate = self.hidden(sentence, len(self._layers) - 1)

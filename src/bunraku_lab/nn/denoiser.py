@@ -20,9 +20,8 @@ from bunraku.core.body.reference import LOOSE_ON_PEOPLE
 from bunraku.core.geometry.rotations import matrix_from_6d
 from bunraku.errors import WeightsError
 from bunraku.generation import sampler
-from bunraku.generation.denoiser import EXAMPLE_TOKENS, KIND
+from bunraku.generation.denoiser import EXAMPLE_TOKENS, KIND, DenoiserConfig, denoiser_config
 from bunraku.generation.features import ROOT_SIZE
-from bunraku.generation.layers import DenoiserConfig, denoiser_config
 from bunraku_lab.nn.checkpoints import load_checkpoint, save_checkpoint
 
 

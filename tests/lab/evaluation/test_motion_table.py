@@ -11,9 +11,8 @@ from bunraku.cli import main
 from bunraku.core.nn.checkpoints import load_checkpoint, save_checkpoint
 from bunraku.errors import OptionError
 from bunraku.generation import networks
-from bunraku.generation.denoiser import fingerprint
+from bunraku.generation.denoiser import DenoiserConfig, fingerprint
 from bunraku.generation.extractor import ExtractorConfig
-from bunraku.generation.layers import DenoiserConfig
 from bunraku_lab.datasets.motions.clips import write_clip, write_index
 from bunraku_lab.evaluation.motion import samples as motion_samples
 from bunraku_lab.evaluation.motion.samples import Request, SamplerSettings, Window, make_motions

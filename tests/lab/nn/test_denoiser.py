@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from bunraku.errors import WeightsError
-from bunraku.generation.layers import PRESETS, DenoiserConfig
+from bunraku.generation.denoiser import PRESETS, DenoiserConfig
 from bunraku.generation.sampler import generator
 from bunraku_lab.nn.denoiser import (
     Denoiser,

@@ -17,10 +17,10 @@ from bunraku.core.body.reference import reference_body
 from bunraku.core.geometry.simplify import network_mesh
 from bunraku.core.nn.checkpoints import shipped_checkpoint
 from bunraku.core.nn.layers import gelu, gelu_slope
+from bunraku.generation.denoiser import DenoiserConfig
 from bunraku.generation.denoiser import load_denoiser as load_running_denoiser
 from bunraku.generation.extractor import RADIUS, ExtractorConfig
 from bunraku.generation.extractor import load_extractor as load_running_extractor
-from bunraku.generation.layers import DenoiserConfig
 from bunraku_lab.nn import graph as tensors
 from bunraku_lab.nn.checkpoints import load_training_state
 from bunraku_lab.nn.denoiser import Denoiser, RetrievedExamples, load_denoiser, save_denoiser

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from bunraku.errors import FormatError, OptionError
-from bunraku.generation.layers import DenoiserConfig
+from bunraku.generation.denoiser import DenoiserConfig
 from bunraku_lab.nn.checkpoints import load_training_state
 from bunraku_lab.nn.denoiser import Denoiser, load_denoiser, save_denoiser
 from bunraku_lab.training.diffusion.train import TrainingConfig, rescaled, start_from, train_diffusion

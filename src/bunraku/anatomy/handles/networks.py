@@ -14,7 +14,7 @@ from scipy.sparse import csr_matrix
 from bunraku.core.body.layout import HANDLE_COUNT
 from bunraku.core.geometry.axes import right_angle_rotations
 from bunraku.core.nn.checkpoints import config_of, load_network
-from bunraku.core.nn.layers import Linear, PreNorm, Weights, gelu, normed, softmax
+from bunraku.core.nn.layers import Linear, Perceptron, PreNorm, Weights, gelu, normed, softmax, through
 
 _NEAR = 3  # anchors that each vertex listens to
 
@@ -254,8 +254,7 @@ class _GraphLayer:
 
     def __call__(self, x: np.ndarray, graph: MeshGraph) -> np.ndarray:
         tokens = self.enter(np.concatenate([graph.gather @ x, graph.anchors], axis=-1))[None]
-        for block in self.blocks:
-            tokens = block(tokens)
+        tokens = through(self.blocks, tokens)
         both = self.own(x)
         both += graph.largest_neighbour(self.neighbour(x))
         both += graph.spread @ tokens[0]
@@ -413,7 +412,7 @@ class OrientationPredictor:
     def __init__(self, config: OrientationConfig, weights: Weights):
         self.config = config
         width = config.width
-        self._enter = weights.linear("enter.0", TOKEN, width), weights.linear("enter.2", width, width)
+        self._enter = Perceptron(weights.linear("enter.0", TOKEN, width), weights.linear("enter.2", width, width))
         self._layers = [
             PreNorm(
                 part.attention("attention", "merge", width, config.heads),
@@ -424,17 +423,14 @@ class OrientationPredictor:
             for part in (weights.part(f"layers.{index}") for index in range(config.layers))
         ]
         self._norm = weights.norm("norm", width)
-        self._head = weights.linear("head.0", 2 * width, width), weights.linear("head.2", width, 1)
+        self._head = Perceptron(weights.linear("head.0", 2 * width, width), weights.linear("head.2", width, 1))
         self._rotations = right_angle_rotations().astype(np.float32)
 
     def __call__(self, tokens: np.ndarray) -> np.ndarray:
         """Score of each mesh as it stands, shape (B, M, 10) -> (B,)."""
-        x = self._enter[1](gelu(self._enter[0](tokens)))
-        for layer in self._layers:
-            x = layer(x)
-        x = self._norm(x)
+        x = through((self._enter, *self._layers, self._norm), tokens)
         pooled = np.concatenate([x.mean(axis=1), x.max(axis=1)], axis=-1)
-        return self._head[1](gelu(self._head[0](pooled)))[:, 0]
+        return self._head(pooled)[:, 0]
 
     def probabilities(self, tokens: np.ndarray) -> np.ndarray:
         """How likely each of `geometry.axes.ORIENTATIONS` is the right one, from the mesh and its mirror image, shape

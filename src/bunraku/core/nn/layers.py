@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
@@ -147,6 +149,17 @@ class PreNorm(NamedTuple):
         return self.mix(self.own(x, self.norm_a, None, hidden), self.norm_b)
 
 
+class Perceptron(NamedTuple):
+    """Two linear layers with GELU between them."""
+
+    first: Linear
+    second: Linear
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        """Shape (..., C) -> (..., D)."""
+        return self.second(gelu(self.first(x)))
+
+
 class PostNorm(NamedTuple):
     """A transformer layer of BERT (Devlin et al. 2019), with norms after attention and feed-forward. Query, key and
     value have all heads side by side.
@@ -167,6 +180,13 @@ class PostNorm(NamedTuple):
         parts = (split_heads(enter(x), self.heads)[0] for enter in (self.query, self.key, self.value))
         x = self.norm_a(x + self.leave(attended(*parts)))
         return self.norm_b(x + self.narrow(gelu(self.wide(x))))
+
+
+def through(layers: Sequence[Callable[[np.ndarray], np.ndarray]], x: np.ndarray) -> np.ndarray:
+    """What layers make of `x`, one after the other."""
+    for layer in layers:
+        x = layer(x)
+    return x
 
 
 def normed(x: np.ndarray, norm: Norm | None = None) -> np.ndarray:
@@ -282,6 +302,23 @@ def attended(query: np.ndarray, key: np.ndarray, value: np.ndarray, hidden: np.n
     return out.reshape(batch, length, heads * size)
 
 
+def rotary_positions(tokens: np.ndarray, size: int) -> Rotary:
+    """Cosines and sines of rotary positions (Su et al. 2021) of tokens at these times, shape (T,), each of shape (T,
+    size / 2).
+    """
+    rates = np.float32(1000.0) ** (-np.arange(0, size, 2, dtype=np.float32) / np.float32(size))
+    angle = tokens[:, None].astype(np.float32) * rates
+    return np.cos(angle), np.sin(angle)
+
+
+def waves(angle: np.ndarray, width: int) -> np.ndarray:
+    """Cosines and sines of numbers of shape (A,), shape (A, width)."""
+    half = width // 2
+    rates = np.exp(np.float32(-math.log(10_000.0)) * np.arange(half, dtype=np.float32) / np.float32(half))
+    turned = angle[:, None] * rates
+    return np.concatenate([np.cos(turned), np.sin(turned)], axis=-1)
+
+
 def unit(x: np.ndarray) -> np.ndarray:
     """Vectors of length 1, shape (..., E); zero vectors stay."""
     length = np.sqrt(np.einsum("...i,...i->...", x, x))[..., None]
@@ -342,6 +379,92 @@ class Weights:
         """Raise ValueError unless all have been handed out."""
         if self._left:
             raise ValueError(f"its config makes no '{min(self._left)}', which the file has")
+
+
+@dataclass(frozen=True, eq=False)
+class Condition:
+    """What the layers read beside the motion."""
+
+    memories: Sequence[Memory]  # of sentence and mesh, in each layer
+    hidden: np.ndarray | None  # of them, as of `hidden_by`
+    sentence: np.ndarray  # shape (B, d)
+    mesh: np.ndarray  # the mesh token, shape (B, d)
+    examples: Sequence[Memory | None]  # of examples, in each layer; None in one that does not attend to them
+    hidden_examples: np.ndarray | None  # of these
+
+    def rows(self, rows: slice) -> Condition:
+        """Of these rows of the batch."""
+        return Condition(
+            [Memory(memory.keys[rows], memory.values[rows]) for memory in self.memories],
+            None if self.hidden is None else self.hidden[rows], self.sentence[rows], self.mesh[rows],
+            [None if memory is None else Memory(memory.keys[rows], memory.values[rows]) for memory in self.examples],
+            None if self.hidden_examples is None else self.hidden_examples[rows],
+        )  # fmt: skip
+
+
+class DecoderLayer:
+    """Self-attention, cross-attention, feed-forward; each behind an adaptive norm and a gate.
+
+    Args:
+        width, heads, inner: Size of a token, attention heads, and size inside of the feed-forward block.
+        weights: Of the layer.
+        shown: Whether the network attends to examples, as every other layer does.
+        examples: Whether this one does.
+    """
+
+    def __init__(self, width: int, heads: int, inner: int, weights: Weights, shown: bool, examples: bool):
+        self.heads = heads
+        self.offset = weights.array("offset", 9, width)
+        self.own = weights.attention("self_in", "self_out", width, heads)
+        query, out = weights.linear("cross_query", width, width), weights.linear("cross_out", width, width)
+        self.cross = Attention(query, out, heads)
+        self.cross_memory = weights.linear("cross_memory", width, 2 * width)
+        self.mix = weights.feed_forward("wide", "narrow", width, inner)
+        if shown:
+            self.offset = np.concatenate([self.offset, weights.array("offset_more", 3, width)])
+        self.examples = None
+        if examples:
+            part = weights.part("examples")
+            query, out, self.example_key, self.example_value = (
+                part.linear(name, width, width) for name in ("query", "out", "key", "value")
+            )
+            self.examples = Attention(query, out, heads)
+
+    def memory(self, tokens: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Keys and values of tokens (B, M, d)."""
+        return split_heads(self.cross_memory(tokens), self.heads, 2)
+
+    def example_memory(self, keys: np.ndarray, values: np.ndarray, rotary: Rotary) -> Memory | None:
+        """Keys and values of examples' tokens (B, M, d); None in a layer that does not attend to them."""
+        if self.examples is None:
+            return None
+        (key,) = split_heads(self.example_key(keys), self.heads)
+        (value,) = split_heads(self.example_value(values), self.heads)
+        return Memory(apply_rotary(key, rotary), value)
+
+    def __call__(
+        self, x: np.ndarray, steer: np.ndarray, rotary: Rotary, real: np.ndarray | None, condition: Condition,
+        index: int,
+    ) -> np.ndarray:  # fmt: skip
+        """The next hidden states, shape (B, T, d).
+
+        Args:
+            x: Hidden states, shape (B, T, d), which it writes on.
+            steer: Scale, shift and gate of each block, shape (B, 9, or 12 with examples, d).
+            rotary: Of the tokens.
+            real: Which tokens are real, shape (B, T); None where all are.
+            condition: As of `Condition`.
+            index: Of the layer.
+        """
+        parts = (steer + self.offset)[:, :, None].swapaxes(0, 1)
+        scales = 1 + parts[::3]
+        hidden = None if real is None else hidden_by(real)
+        x = self.own(x, Norm(scales[0], parts[1]), None, hidden, rotary, parts[2])
+        x = self.cross(x, Norm(scales[1], parts[4]), condition.memories[index], condition.hidden, None, parts[5])
+        examples = condition.examples[index]
+        if self.examples is not None and examples is not None:
+            x = self.examples(x, Norm(scales[-1], parts[-2]), examples, condition.hidden_examples, rotary, parts[-1])
+        return self.mix(x, Norm(scales[2], parts[7]), parts[8])
 
 
 _spare: ContextVar[bool] = ContextVar("spare", default=False)

@@ -331,6 +331,23 @@ class GltfBuilder:
         clip["channels"].append({"sampler": len(clip["samplers"]), "target": {"node": node, "path": path}})
         clip["samplers"].append({"input": times, "output": values, "interpolation": "LINEAR"})
 
+    def clip(self, name: str, times: np.ndarray, tracks: Sequence[tuple[int, str, np.ndarray]]) -> None:
+        """Add a clip of linear channels.
+
+        Args:
+            name: Its name.
+            times: Of the keys [s], shape (N,), float32.
+            tracks: Node, property and keys (N, C) of each channel; one key where nothing moves.
+        """
+        every, once = self.array(times[:, None], bounds=True), None
+        clip: dict[str, Any] = {"name": name, "channels": [], "samplers": []}
+        for node, path, keys in tracks:
+            if len(keys) < len(times) and once is None:
+                once = self.array(times[:1, None], bounds=True)
+            clock = once if len(keys) < len(times) and once is not None else every
+            self.channel(clip, node, path, clock, self.array(keys))
+        self._append("animations", clip)
+
     def document(self, path: Path) -> Document:
         """The document as one in memory."""
         data = b"".join(chunk() if callable(chunk) else chunk for chunk in self._chunks)

@@ -245,12 +245,9 @@ def _add_bones(builder: GltfBuilder, motion: SkeletalMotion) -> None:
 
 def _add_clip(builder: GltfBuilder, motion: SkeletalMotion, name: str) -> None:
     rotations = continuous(quaternion_from_matrix(motion.rotations.astype(np.float64)))
-    clock = builder.array((np.arange(len(motion)) / motion.fps).astype(np.float32)[:, None], bounds=True)
-    clip: dict[str, Any] = {"name": str(name), "channels": [], "samplers": []}
-    builder.channel(clip, 0, "translation", clock, builder.array(motion.root_translation.astype(np.float32)))
-    for joint in range(rotations.shape[1]):
-        builder.channel(clip, joint, "rotation", clock, builder.array(rotations[:, joint].astype(np.float32)))
-    builder.add("animations", clip)
+    turns = [(joint, "rotation", rotations[:, joint].astype(np.float32)) for joint in range(rotations.shape[1])]
+    tracks = [(0, "translation", motion.root_translation.astype(np.float32)), *turns]
+    builder.clip(str(name), (np.arange(len(motion)) / motion.fps).astype(np.float32), tracks)
 
 
 def write_avatar(

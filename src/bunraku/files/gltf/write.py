@@ -130,9 +130,9 @@ def add_joints(builder: GltfBuilder, handles: Handles) -> list[int]:
     h = handles.positions.astype(np.float64)
     names = handle_names(handles.played)
     first = len(builder.tree.get("nodes", []))
-    for handle, name in enumerate(names):
-        offset = (h[handle] - h[0] if handle else h[0]).astype(np.float32)
-        builder.add("nodes", {"name": name, "translation": offset.tolist()})
+    offsets = np.concatenate([h[:1], h[1:] - h[0]]).astype(np.float32).tolist()
+    nodes = [{"name": name, "translation": offset} for name, offset in zip(names, offsets, strict=True)]
+    builder.tree.setdefault("nodes", []).extend(nodes)
     if handles.rigid:
         builder.tree["nodes"][first]["extras"] = {RIGID: True}
     if len(h) > 1:
@@ -163,27 +163,19 @@ def add_motion(builder: GltfBuilder, joints: list[int], positions: np.ndarray, m
     """Add an animation: a translation and a rotation channel for each joint, constant ones as one key."""
     translations, rotations = joint_tracks(positions, motion)
     h = positions.astype(np.float64)
-    times = (np.arange(len(motion)) / motion.fps).astype(np.float32)[:, None]
-    every = builder.array(times, bounds=True)
-    single: int | None = None
     extent = max(float(np.ptp(h, axis=0).max()), 1e-9)
-    tracks = (("translation", translations, 1e-7 * extent), ("rotation", rotations, 1e-7))
+    parts = (("translation", translations, 1e-7 * extent), ("rotation", rotations, 1e-7))
     moving = {
-        (path, k): np.ptp(values[:, k], axis=0).max() > small for path, values, small in tracks for k in range(len(h))
+        (path, k): np.ptp(values[:, k], axis=0).max() > small for path, values, small in parts for k in range(len(h))
     }
     if not any(moving.values()):
         moving["translation", 0] = True  # one channel keeps the length of a motion that stands still
-    clip: dict[str, Any] = {"name": name, "channels": [], "samplers": []}
-    for joint in range(len(h)):
-        for path, values, _ in tracks:
-            track = values[:, joint].astype(np.float32)
-            if moving[path, joint]:
-                clock = every
-            else:
-                single = builder.array(times[:1], bounds=True) if single is None else single
-                track, clock = track[:1], single
-            builder.channel(clip, joints[joint], path, clock, builder.array(track))
-    builder.add("animations", clip)
+    tracks = [
+        (node, path, values[: None if moving[path, joint] else 1, joint].astype(np.float32))
+        for joint, node in enumerate(joints)
+        for path, values, _ in parts
+    ]
+    builder.clip(name, (np.arange(len(motion)) / motion.fps).astype(np.float32), tracks)
 
 
 def write_animation(animation: Animation, path: Path, *, fps: float | None = None, name: str | None = None) -> Path:
