@@ -50,7 +50,7 @@ class Limit:
 
 SECONDS = Limit("seconds", 0.5, 120.0)
 """Length of a clip that is generated in one pass [s]; longer ones are generated in stretches."""
-WHOLE = Limit("seconds", 0.5, 36_000.0)
+WHOLE = Limit("seconds", SECONDS.low, 36_000)
 """Length of a clip, and of each of its parts [s]."""
 FPS = Limit("frames a second", 1, 240)
 """Rate of a clip, a file or a video [1/s]."""

@@ -31,12 +31,12 @@ PINNED = ("left_hand", "right_hand", "left_foot", "right_foot")
 _PART_OF = {"wrist": "hand", "elbow": "hand", "fingers": "hand", "ankle": "foot", "knee": "foot", "foot": "foot"}
 LEAD = 0.4
 """Seconds before and after a pin over which a limb goes there and back."""
-ROOT_LEAD = 0.8
+ROOT_LEAD = 2 * LEAD
 """The same for the root where a limb does not reach."""
 ROUNDS = 12
 CLOSE = 5e-4
 """Error over the character's height at which a pin is met."""
-MISSED = 5e-3
+MISSED = 10 * CLOSE
 """Error over the height from which on it is not."""
 
 

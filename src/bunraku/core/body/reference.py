@@ -203,7 +203,7 @@ def smpl_rotations() -> np.ndarray:
 
 LOOSE = 0.5
 """How far parts of soft bodies, and loose parts, may leave their joints [m of the reference body]."""
-LOOSE_ON_PEOPLE = 0.05
+LOOSE_ON_PEOPLE = LOOSE / 10
 """The same for people, where more is an error of the generator [m of the reference body]."""
 
 

@@ -36,7 +36,9 @@ from bunraku_lab.training.rows.banks import kept_arrays
 REFERENCE = "reference_"
 """What the names of the reference body's shapes begin with."""
 OF_REFERENCE = 0.5
-"""Share of the pairs whose source is one of them; the others' is any character."""
+"""Share of the pairs whose source is one of them; the others' is any character. The tables' baselines were trained with
+it.
+"""
 
 
 @dataclass(frozen=True, eq=False)
