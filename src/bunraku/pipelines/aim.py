@@ -17,6 +17,7 @@ from bunraku.core.motion import HandleMotion
 from bunraku.retarget.stages.stage import with_feet_moved
 
 HEAD = tuple(HANDLE_INDEX[name] for name in ("neck", "head", "head_top", "face"))
+
 # Angles [rad] and paces, chosen by eye on the sample person.
 ASIDE, NOD = math.radians(75), math.radians(45)  # how far a head turns aside from where the body faces, and nods
 BEHIND = math.radians(135)  # aside from which on a point is not looked at, nor reached for

@@ -29,6 +29,7 @@ from bunraku.errors import CharacterError
 _MOST_SPLITS = 150_000
 _MANY = 60_000  # vertices, more than any view needs
 _FINE = 5  # cells of the grid in which so many are merged, over one of a view's
+
 # The shipped networks of handles were trained on meshes made with both.
 _CRUMB = 0.25  # area under which a patch joins its neighbour, in cell faces
 _BORDER = 0.15  # half the width of the zone in which a vertex counts in two cells, in cells
