@@ -98,7 +98,7 @@ test: $(DEVELOP) .venv/.validator .venv/.browser
 	@touch $@
 
 browser: $(DEVELOP) .venv/.browser
-	$(BIN)/python -m pytest tests/studio/test_page.py $(ARGS)
+	$(BIN)/python -m pytest $(addprefix tests/studio/,test_page.py test_page_apparel.py test_page_body.py test_page_live.py) $(ARGS)
 
 # The page is committed as it is built, so a wheel needs no node; `tests/studio` builds it again where there is npm.
 studio: studio/node_modules/.package-lock.json
