@@ -42,7 +42,7 @@ def with_rods(kind: str, *rods) -> tuple[Character, np.ndarray]:
         vertices.append(points)
     count = sum(map(len, vertices))
     added = np.arange(count) >= len(body.vertices)
-    said = Corrections(part=(Piece(kind, tuple(tuple(points[0].tolist()) for points, _ in rods)),))
+    said = Corrections(part=(Piece(kind, tuple(tuple(point) for points, _ in rods for point in points[::8].tolist())),))
     return Character("rods", np.concatenate(vertices), np.concatenate(faces), corrections=said), added
 
 
