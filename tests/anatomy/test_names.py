@@ -435,6 +435,17 @@ def test_elbows_and_knees_say_how_limbs_are_rolled(tmp_path):
             assert angle < 0.5, (name, angle)
 
 
+def test_a_clip_that_begins_in_a_t_pose_needs_no_rest_pose(tmp_path):
+    truth = walk_about(40, fps=30.0)
+    rotations = truth.rotations.copy()
+    rotations[0] = np.eye(3)
+    truth = SkeletalMotion(truth.skeleton, rotations, truth.root_translation, 30.0)
+    (tmp_path / "take.bvh").write_text(bvh_text(truth, ALONG_X))
+    result = to_smpl(load_motion(tmp_path / "take.bvh"))
+    turned = degrees(np.swapaxes(result.world()[0], -1, -2) @ truth.world()[0])
+    assert turned.max() < 1.0
+
+
 def test_whether_a_rest_pose_is_one(tmp_path):
     for dialect, pose in ((ALONG_X, False), (CMU, True)):
         (tmp_path / "take.bvh").write_text(bvh_text(walk_about(5), dialect))

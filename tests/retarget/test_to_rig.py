@@ -323,6 +323,13 @@ def test_it_is_animated_as_any_skeleton(person, tmp_path):
     names = {document.items("nodes")[channel["target"]["node"]]["name"]
              for channel in document.items("animations")[0]["channels"]}  # fmt: skip
     assert {"pelvis", "thigh_l", "upperarm_r"} <= names
+    walker, down = load_character(path), np.eye(4)  # a file whose rest pose lies below the ground of its clips
+    down[1, 3] = -1
+    lowered = replace(
+        walker, vertices=walker.vertices + down[:3, 3], rig=replace(walker.rig, transforms=down @ walker.rig.transforms)
+    )
+    fresh = fit_rig(body_handle_motion(walking()), lowered).animation().vertices()
+    assert abs(np.quantile(fresh[..., 1].min(axis=1), 0.2) - walker.vertices[:, 1].min()) < 0.05
 
 
 def test_what_handles_do_is_carried_onto_it(person):

@@ -197,7 +197,8 @@ class Anatomy:
     def rest(self) -> tuple[np.ndarray, Joints]:
         """The rotation of each handle from the rest pose into the reference body's (K, 3, 3), and the joints."""
         if self.known is not None:
-            return self.known[0], self._as_said(self.known[1])
+            turns, joints = self.known
+            return turns, self._as_said(joints) if self.handles.rigid else joints  # bones are where their rig has them
         guess = iter(self._estimates)
         turns, joints = by_limb(
             self.mesh_handles, lambda some: rest_of_limbs(self.mesh, some, next(guess)), self._views

@@ -288,31 +288,37 @@ def describe(path: Path, unit: str = "auto") -> dict[str, Any]:
 
 
 def _body(character: Character, up: str, front: str, unit: str) -> dict[str, Any]:
-    """What handles make of it: what it stands on, which parts are found and how clearly, and what it cannot do."""
+    """What moves it, what it stands on, which parts are found and how clearly, and what it cannot do: as `animate` has
+    it.
+    """
     from bunraku.anatomy.anatomy import Anatomy
-    from bunraku.anatomy.corrected import corrected_handles, joint_facts, piece_facts
-    from bunraku.anatomy.handles.predict import predict_handles
+    from bunraku.anatomy.corrected import joint_facts, piece_facts
     from bunraku.anatomy.scene import separated
     from bunraku.apparel.chains.moving import moving_rig
-    from bunraku.apparel.parts import handles_of_body, part_facts
+    from bunraku.apparel.parts import part_facts
     from bunraku.files import in_metres, rotated
+    from bunraku.pipelines.animator import Animator
     from bunraku.pipelines.bodies import body_facts
+    from bunraku.pipelines.requests import Request
 
+    animator = Animator.shipped()
     try:
         in_unit = in_metres(rotated(character, up, front), "auto" if unit == "auto" else "m", "+y")[0]
         standing, lines = separated(in_unit)
-        anatomy = Anatomy.of(standing, corrected_handles(standing, handles_of_body(standing, predict_handles)))
-        found, dress = body_facts(anatomy), part_facts(standing)
+        body = animator.body(standing, Request("walks"))
+        anatomy, found = body.anatomy, body_facts(body.anatomy)
+        dress = part_facts(standing)
     except (WeightsError, CharacterError) as error:
         return {"body": None, "body_note": str(error)}
     parts = [{"name": part.name, "area": round(part.area, 4), "clear": round(part.sure, 3)} for part in found.parts]
     facts: dict[str, Any] = {"beside": lines} if lines else {}
-    facts |= {"body": found.plan.words, "parts": parts, "cannot": list(found.cannot)}
-    facts |= {
-        "body_joints": joint_facts(anatomy.handles, anatomy.joints),
-        "pieces": piece_facts(standing, anatomy.handles), "dress": dress,
-    }  # fmt: skip
-    return facts if moving_rig(character) is not None else facts | shape_facts(anatomy)  # the file has no apparel
+    moved = "30 handles" if body.parts is None else f"its own {len(body.parts.parts)} bones"
+    facts |= {"moved_by": moved, "body": found.plan.words, "parts": parts, "cannot": list(found.cannot)}
+    facts |= {"body_joints": joint_facts(anatomy.handles, anatomy.joints)}
+    facts |= {"pieces": piece_facts(standing, anatomy.handles), "dress": dress}
+    if moving_rig(character) is not None:  # the file has apparel
+        return facts
+    return facts | shape_facts(anatomy if body.parts is None else Anatomy.of(standing, animator.handles(standing)))
 
 
 def _motion(path: Path) -> dict[str, Any]:

@@ -158,11 +158,9 @@ def said_axes(resolved: ResolvedAxes, up: str = "auto", front: str = "auto") -> 
         return ""
     given = [value.strip().lower() != "auto" for value in (up, front)]
     taken, chance = (resolved.up, resolved.front), guess.probability(*other)
-    doubt = f" ({_percent(resolved.sure)} sure), perhaps {_listed(other, given)} ({_percent(chance)})"
-    if chance >= resolved.sure:  # where the rule of a format decides, or the up axis alone
-        doubt = f", though its shape is at least as likely {_listed(other, given)}"
     return (
-        f"taken as {_listed(taken, given)}{doubt}. To set it, type {_typed(taken, given)}, or else "
+        f"taken as {_listed(taken, given)} ({_percent(resolved.sure)} sure), perhaps {_listed(other, given)} "
+        f"({_percent(chance)}). To set it, type {_typed(taken, given)}, or else "
         f"{_typed(other, given)}; `bunraku inspect FILE --views views.png` shows which."
     )
 

@@ -12,7 +12,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from bunraku.files.clips import bones_of, clip_names, load_animation, load_clip, load_clip_animation, merge
+    from bunraku.files.clips import (
+        bones_of, clip_names, clips_rise, load_animation, load_clip, load_clip_animation, merge,
+    )  # fmt: skip
     from bunraku.files.fbx.clips import load_fbx_motion
     from bunraku.files.fbx.read import fbx_facts
     from bunraku.files.gltf.carry import free_name
@@ -44,7 +46,7 @@ if TYPE_CHECKING:
     from bunraku.files.samples import sample_character, sample_file, sample_files, sample_names
 
 _NAMES = {
-    "clips": "bones_of clip_names load_animation load_clip load_clip_animation merge",
+    "clips": "bones_of clip_names clips_rise load_animation load_clip load_clip_animation merge",
     "fbx.clips": "load_fbx_motion",
     "fbx.read": "fbx_facts",
     "gltf.carry": "free_name",

@@ -173,6 +173,37 @@ def _animation(character: Character, world: np.ndarray, fps: float) -> Animation
     )
 
 
+MOST_CLIPS, MOMENTS, POINTS = 8, 6, 1000
+"""Clips and moments of each in which is looked where a file's character stands, and points of its surface, lowest and
+any; chosen by eye."""
+
+
+def clips_rise(character: Character) -> float:
+    """How much higher a character stands in its file's own clips than in its rest pose [m], where they stand nearer to
+    y = 0, which is the ground of engines; 0 where they do not, or there are none.
+    """
+    source, rig = character.source, character.rig
+    if rig is None or not isinstance(source, Source):
+        return 0.0
+    document, heights = source.document, character.vertices[:, 1]
+    spread = np.linspace(0, len(heights) - 1, POINTS).astype(int)
+    rows = np.unique(np.concatenate([np.argsort(heights, kind="stable")[:POINTS], spread]))
+    rows = rows[character.surface[rows]]
+    inverse, points = np.linalg.pinv(rig.transforms), character.vertices[rows].astype(np.float64)
+    lows = []
+    for channels in document.items("animations")[:MOST_CLIPS]:
+        curves = clip_curves(document, channels)
+        end = max((float(times[-1]) for times, _, _ in curves.values()), default=0.0)
+        moments = np.linspace(0, min(end, MAX_SECONDS), MOMENTS)
+        for world in node_worlds(document, source.tree, curves, moments, source.skins.nodes) @ inverse:
+            moved = np.einsum("vmj,vj->vm", world[rig.indices[rows], 1, :3], points) + world[rig.indices[rows], 1, 3]
+            lows.append(float((rig.weights[rows] * moved).sum(axis=1).min()))
+    if not lows:
+        return 0.0
+    rest, stands = float(points[:, 1].min()), float(np.median(lows))
+    return stands - rest if abs(stands) < abs(rest) else 0.0
+
+
 def bones_of(animation: Animation) -> tuple[np.ndarray, np.ndarray]:
     """World rotations (N, J, 3, 3) and heads [m] (N, J, 3) of the bones of an animation of `load_animation`."""
     assert animation.character.rig is not None

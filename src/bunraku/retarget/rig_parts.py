@@ -28,7 +28,7 @@ from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.rotations import rotation_between
 from bunraku.core.motion import Skeleton, line_up
 from bunraku.errors import CharacterError
-from bunraku.files import Source
+from bunraku.files import Source, clips_rise
 
 HUMANOID = (
     0,
@@ -172,6 +172,11 @@ class RigParts:
         """The body that the rig moves, with the rest pose and the joints that the rig tells."""
         found = Anatomy.of(self.character, self.handles, (self.rotations, self.joints))
         return replace(found, named=self.hung)
+
+    @cached_property
+    def rise(self) -> np.ndarray:
+        """From where its rest pose stands to where the clips of its file do [m], shape (3,)."""
+        return np.array([0.0, clips_rise(self.character), 0.0])
 
     @property
     def complete(self) -> bool:

@@ -79,6 +79,7 @@ def bones_to_handles(parts: RigParts, world_rotations: np.ndarray, positions: np
     back = np.swapaxes(root, -1, -2)
     rotations = np.tile(np.eye(3), (len(world_rotations), len(h), 1, 1))
     translations = np.zeros((len(world_rotations), len(h), 3))
+    positions = positions - parts.rise
     centre = positions[:, pelvis] + np.einsum("nij,j->ni", root, h[0] - rest[pelvis])
     for handle in range(1, len(h)):
         bone = int(parts.leads[handle])

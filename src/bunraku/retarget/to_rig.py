@@ -52,6 +52,7 @@ def on_bones(parts: RigParts, fitted: HandleMotion, reference: HandleMotion | No
         reference: The motion of the reference body that it was fitted from.
     """
     rotations, positions = parts.world(fitted.transforms(parts.handles.positions).astype(np.float64))
+    positions = positions + np.where(parts.still[:, None], 0, parts.rise)
     moved = RigAnimation.of_world(parts.character, rotations, positions, fitted.fps, reference)
     return replace(_with_helpers(moved, parts), parts=parts)
 

@@ -12,20 +12,15 @@ import numpy as np
 from bunraku.anatomy.handles.orientation_evidence import Combination, ShapeView, gathered, has_rule, kind_weights
 from bunraku.core.arguments import checked
 from bunraku.core.character import Character
-from bunraku.core.geometry.axes import AXES, ORIENTATIONS, axis_name, default_orientation, upright_rotation
+from bunraku.core.geometry.axes import AXES, ORIENTATIONS, axis_name, upright_rotation
 from bunraku.core.geometry.surface import surface_points
 from bunraku.files import rotated
 
 if TYPE_CHECKING:
     from bunraku.anatomy.handles.networks import OrientationPredictor
 
-# Measured with these values on four lots of files: docs/measurements.md has the shares.
 SURE = 0.85
 """From this probability on nothing is said of a guess."""
-TURN = 0.5
-"""From this probability on a guess overrules the axes of a format that has a rule."""
-STANDS = 0.05
-"""Below `TURN` the file's axes stay while they have this probability themselves."""
 _POINTS, _AGAIN = 2048, (1024, 4096)
 """Points that the network's tokens stand for, and those of its further looks: which tokens it happens to get may turn a
 front that hardly differs from the back. Three looks have a cross-entropy of .236 in place of .286 on the 37 files for
@@ -83,6 +78,11 @@ class Orientation:
     def probability(self, up: str, front: str) -> float:
         """How likely an orientation is, 0 to 1."""
         return float(self.probabilities[ORIENTATIONS.index((up, front))])
+
+    @property
+    def likeliest(self) -> tuple[str, str]:
+        """The likeliest up axis and front together."""
+        return ORIENTATIONS[int(self.probabilities.argmax())]
 
     def next_best(self, up: str, front: str) -> tuple[str, str]:
         """The likeliest orientation beside one that is known to be wrong."""
@@ -205,10 +205,7 @@ class ResolvedAxes:
     @property
     def other(self) -> tuple[str, str] | None:
         """The likeliest other axes; None where nothing was guessed."""
-        if self.guess is None:
-            return None
-        likeliest, taken = (self.guess.up, self.guess.front), (self.up, self.front)
-        return likeliest if taken != likeliest else self.guess.next_best(*taken)
+        return None if self.guess is None else self.guess.next_best(self.up, self.front)
 
 
 def resolve_axes(
@@ -239,16 +236,7 @@ def resolve_axes(
     # What is said against a rule says that the file breaks it, so the rest is judged as in a format without one.
     kind = "" if has_rule(suffix) and not rule else suffix
     guess = guess_orientation(character, up=given[0], front=given[1], suffix=kind)
-    return ResolvedAxes(*resolved_axes(guess, rule), guess)
-
-
-def resolved_axes(guess: Orientation, rule: bool = False) -> tuple[str, str]:
-    """Up and front as a guess has them; where the format has a rule, +Y and +Z while these have 5 % and no guess has
-    50 %.
-    """
-    usual = default_orientation()
-    stays = rule and guess.confidence < TURN and guess.probability(*usual) >= STANDS
-    return usual if stays else (guess.up, guess.front)
+    return ResolvedAxes(*guess.likeliest, guess)
 
 
 def as_said(character: Character) -> Character:

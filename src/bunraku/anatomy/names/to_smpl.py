@@ -4,8 +4,9 @@ Rest poses are reconciled by one constant rotation a joint: `W_smpl = W C`, wher
 file and C turns the reference's T-pose into the file's rest pose. Where that is a body's pose (T, A, arms down, any
 heading), C is read off the rest pose itself. Where all bones lie along one axis, as in conversions of AMC, the rest
 pose says nothing: C then takes each bone's own axis to the reference's direction, and rolls it so that over the clip
-elbows and knees bend the way they can, and other parts are twisted against their parents as little as can be. Bones
-keep their own lengths, so joints stay where they were.
+elbows and knees bend the way they can, and other parts are twisted against their parents as little as can be. A clip
+that begins in a T-pose, as captures do, needs neither, whatever the rest pose is. Bones keep their own lengths, so
+joints stay where they were.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ _CHILD = LIMB_CHILD | {3: 6, 6: 9, 9: 12, 12: 15, 7: 10, 8: 11, 13: 16, 14: 17} 
 _UPRIGHT = np.cos(np.radians(35))  # a rest pose this near to upright is upright
 _AHEAD = np.cos(np.radians(12))  # a body that faces +Z as nearly as this faces +Z
 _BENDS = 0.15  # mean sine of the bend of an elbow or a knee from which on it says how the limb is rolled
+T_POSE = 15.0  # a frame whose limbs are this near to a T-pose's is one [degrees]; chosen by eye
 _TURNED_FOOT = np.cos(np.radians(50))  # a foot that points farther off than this rests in another pose
 
 
@@ -50,6 +52,11 @@ def to_smpl(motion: SkeletalMotion, skeleton_map: SkeletonMap | None = None) -> 
     rest = motion.skeleton.positions.astype(float)
     by_rest = rest_is_a_pose(motion.skeleton, mapped)
     rotations = rotations_of_rest(mapped, rest) if by_rest else _rotations_of_motion(mapped, world, positions)
+    start = rotations_of_rest(mapped, positions[0].astype(float))
+    if _off_t_pose(start) < T_POSE and not (by_rest and _off_t_pose(rotations) < T_POSE):
+        there = [joint for joint in range(JOINT_COUNT) if mapped.joints[joint] >= 0]
+        turned = world[0, [mapped.joints[joint] for joint in there]].astype(float)
+        rotations[there] = np.swapaxes(turned, -1, -2) @ start[there]
     out = np.empty((len(motion), JOINT_COUNT, 3, 3))
     for joint, parent in enumerate(JOINT_PARENTS):
         source = mapped.joints[joint]
@@ -58,6 +65,12 @@ def to_smpl(motion: SkeletalMotion, skeleton_map: SkeletonMap | None = None) -> 
     parents = np.array(JOINT_PARENTS)
     skeleton = Skeleton(JOINT_NAMES, parents, offsets)
     return SkeletalMotion(skeleton, local_rotations(out, parents), positions[:, mapped.joints[0]], motion.fps)
+
+
+def _off_t_pose(rotations: np.ndarray) -> float:
+    """The largest angle of a limb from where it is in a T-pose [degrees], by C of each joint, shape (22, 3, 3)."""
+    turns = rotations[0].T @ rotations[list(LIMB_CHILD)]
+    return float(np.degrees(np.arccos(np.clip((np.trace(turns, axis1=1, axis2=2) - 1) / 2, -1, 1))).max())
 
 
 def rest_is_a_pose(skeleton: Skeleton, skeleton_map: SkeletonMap) -> bool:

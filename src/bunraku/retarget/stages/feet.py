@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy, reference_anatomy
-from bunraku.core.geometry.curves import smooth_step, solve_banded
+from bunraku.core.geometry.curves import gaussian, smooth_step, solve_banded
 from bunraku.core.motion import HandleMotion
 from bunraku.retarget.stages.stage import Contacts, Fitting, Stage, sole_points, with_feet_moved
 
@@ -58,6 +58,7 @@ class Feet(Stage):
         root_smooth: Weight of its change from step to step.
         hold: Weight of a standing foot's slide, over the acceleration of its offset.
         pull: Weight of the offset's size while the foot does not stand.
+        stride: How long what the path is off must last to be a drift, about a step [s].
     """
 
     name: ClassVar[str] = "feet"
@@ -80,12 +81,13 @@ class Feet(Stage):
     root_smooth: float = 2.0
     hold: float = 100.0
     pull: float = 0.05
+    stride: float = 0.5
 
     def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
         return bool(anatomy.legs) and len(fitting.source) > 2
 
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
-        motion, contacts = self.locked(fitting.motion, anatomy)
+        motion, contacts = self.locked(fitting.motion, anatomy, keeps=not fitting.source.own_height)
         return replace(fitting.moved(motion), contacts=contacts)
 
     def contacts(self, motion: HandleMotion, anatomy: Anatomy) -> tuple[Contacts, np.ndarray]:
@@ -201,19 +203,27 @@ class Feet(Stage):
         right[1:] -= held[:, None] * steps
         return solve_banded(band, right)
 
-    def locked(self, motion: HandleMotion, anatomy: Anatomy) -> tuple[HandleMotion, Contacts | None]:
+    def locked(
+        self, motion: HandleMotion, anatomy: Anatomy, keeps: bool = False
+    ) -> tuple[HandleMotion, Contacts | None]:
         """The motion with standing feet held in place, and its contacts; None where it has no legs.
 
         Args:
             motion: Of the character, on the ground.
             anatomy: Of the character, with L legs.
+            keeps: Whether its path counts, as that of a motion of another body does: what its steps are shorter or
+                longer for it the legs make up alone, step by step.
         """
         legs = anatomy.legs
         if not legs or len(motion) < 3:
             return motion, None
         contacts, missing = self.contacts(motion, anatomy)
         path = motion.root_translation.astype(np.float64)
-        path[1:, [0, 2]] += np.cumsum(missing, axis=0)
+        away = np.concatenate([np.zeros((1, 2)), np.cumsum(missing, axis=0)])
+        if keeps:
+            away -= _lasting(away, self.stride * motion.fps)
+            missing = np.diff(away, axis=0)
+        path[:, [0, 2]] += away
         motion = replace(motion, root_translation=path)
         shifts = np.zeros((len(motion), len(legs), 3))
         for number, leg in enumerate(legs):
@@ -221,6 +231,13 @@ class Feet(Stage):
             away = np.linalg.norm(offsets, axis=1, keepdims=True) / (self.most * leg.length)
             shifts[:, number][:, [0, 2]] = offsets * np.tanh(away) / np.maximum(away, 1e-9)
         return with_feet_moved(motion, anatomy, legs, shifts), contacts
+
+
+def _lasting(offsets: np.ndarray, frames: float) -> np.ndarray:
+    """What lasts of offsets (N, 2), ends and all: the curve goes on beyond them as a half turn about them."""
+    count = min(len(offsets) - 1, round(4 * frames))
+    before, after = 2 * offsets[0] - offsets[count:0:-1], 2 * offsets[-1] - offsets[-2 : -2 - count : -1]
+    return np.asarray(gaussian(np.concatenate([before, offsets, after]), frames)[count : count + len(offsets)])
 
 
 def add_bending(band: np.ndarray) -> None:

@@ -256,7 +256,7 @@ class BodySurface:
 
 @dataclass(frozen=True)
 class HandsClear(Stage):
-    """Hands stay out of the body.
+    """Hands and forearms stay out of the body.
 
     Args:
         points: Points of a hand that are looked at.
@@ -296,7 +296,7 @@ class HandsClear(Stage):
             shift = np.zeros((len(motion), 3))
             for _ in range(self.rounds):
                 moved = with_feet_moved(first, anatomy, [arm], shift[:, None])
-                depth, out = surface.depths(moved, self.hand(moved, arm, anatomy), self.near * arm.length)
+                depth, out = surface.depths(moved, self.hand(moved, arm, anatomy, forearm=True), self.near * arm.length)
                 deepest = depth.argmax(axis=1)
                 rows = np.arange(len(depth))
                 inside = depth[rows, deepest]
@@ -311,13 +311,18 @@ class HandsClear(Stage):
                 first = with_feet_moved(first, anatomy, [arm], shift[:, None])
         return first
 
-    def hand(self, motion: HandleMotion, arm: Leg, anatomy: Anatomy) -> np.ndarray:
-        """Points of a hand in each frame [m], shape (N, m, 3)."""
+    def hand(self, motion: HandleMotion, arm: Leg, anatomy: Anatomy, forearm: bool = False) -> np.ndarray:
+        """Points of a hand in each frame, and of the lower half of its forearm perhaps [m], shape (N, m, 3)."""
         mesh, handles = anatomy.mesh, anatomy.mesh_handles
         away = np.linalg.norm(mesh.vertices[arm.foot_area] - arm.joints[2], axis=1)
         near = arm.foot_area[away < self.palm * arm.length]
         vertices = near if len(near) else arm.foot_area
         vertices = vertices[np.linspace(0, len(vertices) - 1, min(self.points, len(vertices))).astype(int)]
+        if forearm:
+            bone = arm.joints[2] - arm.joints[1]
+            outer = (mesh.vertices - arm.joints[1]) @ bone > 0.5 * (bone @ bone)  # what a wrist can take along
+            held = np.flatnonzero(mesh.surface & outer & (handles.weights[:, arm.lower] > 0.5))
+            vertices = np.append(vertices, held[:: max(1, 2 * len(held) // self.points)])
         world = motion.transforms(handles.positions).astype(np.float64)
         blended = handles.weights[vertices].astype(np.float64) @ world.reshape(*world.shape[:2], 12)
         blended = blended.reshape(len(world), len(vertices), 3, 4)

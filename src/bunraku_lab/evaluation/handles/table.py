@@ -11,7 +11,7 @@ from zlib import crc32
 
 import numpy as np
 
-from bunraku.anatomy.handles.orientation import Orientation, guess_orientation, resolved_axes
+from bunraku.anatomy.handles.orientation import Orientation, guess_orientation
 from bunraku.anatomy.handles.orientation_evidence import kind_weights
 from bunraku.anatomy.handles.predict import predict_handles
 from bunraku.core.body.reference import reference_body
@@ -56,11 +56,11 @@ def measure_orientation(one: Subject) -> dict[str, Any]:
         ups.append(guess.up == up)
         given = [guess.probability(*axes) if axes[0] == up else -1.0 for axes in ORIENTATIONS]
         fronts.append(ORIENTATIONS[int(np.argmax(given))][1] == front)
-        both.append(resolved_axes(guess) == (up, front))
+        both.append(guess.likeliest == (up, front))
         if not both[-1]:
             warned.append(not guess.sure)
     standing = _judged(seen, RULED)
-    upright = resolved_axes(standing, rule=True) == ("+y", "+z")
+    upright = standing.likeliest == ("+y", "+z")
     if not upright:
         warned.append(not standing.sure)
     return {
