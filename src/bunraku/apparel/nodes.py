@@ -109,11 +109,6 @@ def part_lengths(clothed: ClothedCharacter) -> np.ndarray:
     return out
 
 
-def surface_distances(clothed: ClothedCharacter) -> np.ndarray:
-    """Distance of each vertex from where its part is held, along the surface [m], shape (V,); 0 on the body."""
-    return _attachment(clothed)[1]
-
-
 def held_vertices(clothed: ClothedCharacter) -> np.ndarray:
     """Apparel vertices where their parts are held, shape (H,)."""
     cloth = clothed.part >= 0

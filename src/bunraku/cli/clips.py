@@ -24,10 +24,10 @@ from bunraku.cli.outputs import (
     written_path,
     wrote,
 )
-from bunraku.core.files import atomic_write, read_bounded
+from bunraku.core.files import atomic_write
 from bunraku.core.request import FPS, SECONDS, Progress
 from bunraku.errors import OptionError
-from bunraku.files import sample_files
+from bunraku.files import sample_bytes, sample_files
 
 if TYPE_CHECKING:
     from bunraku.core.animation import AnimatedCharacter
@@ -153,12 +153,12 @@ class Samples:
         if one_file:
             if len(names) > 1:
                 raise OptionError(f"{len(names)} samples do not go into one file; name a folder, not {self.output}")
-            check_output(self.output, (files[names[0]].suffix,))
+            check_output(self.output, (Path(files[names[0]]).suffix,))
         else:
             check_folder(self.output)
-        paths = {name: self.output if one_file else self.output / files[name].name for name in names}
+        paths = {name: self.output if one_file else self.output / files[name] for name in names}
         with exclusive_output(paths.values()):
-            data = {name: read_bounded(files[name]) for name in names}
+            data = {name: sample_bytes(files[name]) for name in names}
             todo = [name for name in names if not (paths[name].is_file() and paths[name].read_bytes() == data[name])]
             check_free([paths[name] for name in todo], self.overwrite, ours=False)
             if len(todo) < len(names):

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
         READERS, UNIT_CHOICES, UNIT_NAMES, WRITERS, check_writer, holds_character, in_metres, load_character,
         load_with_clips, read_motion, resolve_unit, save, save_character,
     )  # fmt: skip
-    from bunraku.files.samples import sample_character, sample_file, sample_files, sample_names
+    from bunraku.files.samples import sample_bytes, sample_character, sample_file, sample_files, sample_names
 
 _NAMES = {
     "clips": "bones_of clip_names clips_rise load_animation load_clip load_clip_animation merge",
@@ -73,7 +73,7 @@ _NAMES = {
     "registry":
         "READERS UNIT_CHOICES UNIT_NAMES WRITERS check_writer holds_character in_metres load_character load_with_clips "
         "read_motion resolve_unit save save_character",
-    "samples": "sample_character sample_file sample_files sample_names",
+    "samples": "sample_bytes sample_character sample_file sample_files sample_names",
 }  # fmt: skip
 """Public names by the module below this one that has them."""
 _HOME = {name: f"bunraku.files.{module}" for module, names in _NAMES.items() for name in names.split()}

@@ -143,28 +143,12 @@ def learned(
 
 
 def chained(
-    animation: Animation | RigAnimation, clothed: ClothedCharacter, *, stiffness: float = 1.0, gravity: float = 1.0,
-    progress: Progress | None = None,
-) -> RigAnimation:  # fmt: skip
-    """An animation on its bones, or on its handles as bones, with further bones for its apparel, which are simulated.
-
-    Args:
-        animation: Of handles or of bones.
-        clothed: Its character as `animated_clothed` gives it.
-        stiffness: Factor on how stiff apparel is.
-        gravity: Factor on gravity.
-        progress: Called with a stage's name and the share done.
-
-    Raises:
-        CharacterError: No part of the mesh is apparel that chains can be laid over.
-    """
-    return _chained(animation, clothed, stiffness, gravity, progress)[0]
-
-
-def _chained(
     animation: Animation | RigAnimation, clothed: ClothedCharacter, stiffness: float, gravity: float,
     progress: Progress | None,
 ) -> tuple[RigAnimation, DressedChains]:  # fmt: skip
+    """An animation on its bones, or on its handles as bones, with further bones for its apparel, which are simulated,
+    and what the chains are laid over. CharacterError where no part of the mesh is apparel that chains can be laid over.
+    """
     progress = progress or (lambda stage, done: None)
     progress("apparel", 0.0)
     moved, bones = _boned(animation)
@@ -208,7 +192,7 @@ def _untorn(
     name = animation.character.name
     for attempt in range(RELAID):
         try:
-            mended, dressed = _chained(animation, clothed, stiffness, gravity, progress)
+            mended, dressed = chained(animation, clothed, stiffness, gravity, progress)
         except CharacterError:
             if attempt:
                 break

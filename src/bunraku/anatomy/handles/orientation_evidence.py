@@ -132,8 +132,8 @@ class LeanEvidence(Evidence):
     weight: float = 3.95
     top: float = 0.85
 
-    _UP: ClassVar[np.ndarray] = np.array([axis_vector(up) for up, _ in ORIENTATIONS])
-    _FRONT: ClassVar[np.ndarray] = np.array([axis_vector(front) for _, front in ORIENTATIONS])
+    _UP: ClassVar[np.ndarray] = _AXIS_VECTORS[[AXES.index(up) for up, _ in ORIENTATIONS]]
+    _FRONT: ClassVar[np.ndarray] = _AXIS_VECTORS[[AXES.index(front) for _, front in ORIENTATIONS]]
 
     def log_odds(self, view: ShapeView) -> np.ndarray:
         if view.surface is None:

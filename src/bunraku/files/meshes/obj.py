@@ -383,7 +383,7 @@ def write_obj_sequence(
         FormatError: The folder cannot be written, or holds other files.
         OptionError: `fps` is not a number from 1 to 1000, or there is no such axis or unit.
     """
-    return _write(animation, path, fps, FileFrame.of(up, unit), _obj_frame(animation.character))
+    return _write(animation, path, fps, FileFrame.of(up, unit), obj_frame(animation.character))
 
 
 def write_ply_sequence(
@@ -393,7 +393,8 @@ def write_ply_sequence(
     return _write(animation, path, fps, FileFrame.of(up, unit), _ply_frame(animation.character))
 
 
-def _obj_frame(character: Character) -> Frame:
+def obj_frame(character: Character) -> Frame:
+    """What writes a frame of a character as OBJ, without colours."""
     faces = character.faces + 1
     tail = (("f %d %d %d\n" * len(faces)) % tuple(faces.reshape(-1).tolist())).encode()
     pattern = "v %.9g %.9g %.9g\n" * len(character.vertices)

@@ -15,9 +15,10 @@ from bunraku.errors import OptionError
 if TYPE_CHECKING:
     from bunraku.core.character import Character
 
-__all__ = ["sample_character", "sample_file", "sample_files", "sample_names"]
+__all__ = ["sample_bytes", "sample_character", "sample_file", "sample_files", "sample_names"]
 
-_OTHERS = ("knight.obj", "hero.glb", "avatar.vrm", "walk.bvh", "ten.txt")
+_MESH = "knight.obj"
+_OTHERS = (_MESH, "hero.glb", "avatar.vrm", "walk.bvh", "ten.txt")
 """What else the docs use: the person as a bare mesh, on the skeletons of Mixamo and of VRM, a walk, ten prompts."""
 _NAMES = ("person", "dancer", "dog", "mushroom", "robot", "dragon")
 
@@ -38,10 +39,23 @@ def sample_file(name: str) -> Path:
     return Path(__file__).with_name(f"{name}.glb")
 
 
-def sample_files() -> dict[str, Path]:
-    """All files that `bunraku samples` writes, by their names: those of the characters, and what else the docs use."""
-    found = {name: sample_file(name) for name in _NAMES}
-    return found | {name.partition(".")[0]: Path(__file__).with_name(name) for name in _OTHERS}
+def sample_files() -> dict[str, str]:
+    """Names of all files that `bunraku samples` writes, by those of the samples: the characters, and what else the docs
+    use.
+    """
+    return {name.partition(".")[0]: name for name in (*(f"{name}.glb" for name in _NAMES), *_OTHERS)}
+
+
+def sample_bytes(file: str) -> bytes:
+    """What is in one of `sample_files`. Errors are those of `sample_character`."""
+    from bunraku.core.files import read_bounded
+
+    if file == _MESH:
+        from bunraku.files.meshes.obj import obj_frame
+
+        person = sample_character("person")
+        return obj_frame(person)(person.vertices)
+    return read_bounded(Path(__file__).with_name(file))
 
 
 @checked
