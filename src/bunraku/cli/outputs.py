@@ -73,7 +73,7 @@ def _line_printer() -> Progress:
         nonlocal told
         now = time.perf_counter()
         took = now - started.setdefault(stage, now)
-        if done < 1 and now - told >= LINE:
+        if 0 < done < 1 and now - told >= LINE:
             told = now
             print(f"{stage}: {done:.0%}", file=sys.stderr)
         if done >= 1 and stage not in finished:
