@@ -310,4 +310,4 @@ def test_what_is_not_done_is_not_read(sentence, read):
 
 def test_arms_do_what_the_verb_says_and_not_whose_they_are():
     assert parse("a chef cuts vegetables").clauses[0].actions == ("cut food",)
-    assert parse("a drunk man walks").clauses[0].actions == ("stagger",)
+    assert parse("a zombie walks").clauses[0].actions == ("zombie",)

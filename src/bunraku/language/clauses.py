@@ -439,22 +439,18 @@ def split_voices(clause: str) -> tuple[str, ...]:
 
 
 def moved_part(clause: str) -> str:
-    """What its verb moves: "legs", "arms", "head", "arms and head", or "" for neither or all."""
-    words = words_of(subject_of(clause)[1])[0]
-    words = words[1:] if words and words[0] in ("is", "are") else words
-    while words and words[0].endswith("ly") and len(words[0]) > 3:
-        words = words[1:]
-    table = lexicon()
-    verb = words[0] if words else ""
-    part = table.parts.get(verb, "")
-    if part in ("legs", "arms", "head"):
-        return part
+    """What is moved in it first: "legs", "arms", "head", "arms and head", or "" for neither or all."""
+    from bunraku.language.reader import frames_of  # numpy
+
+    rows = lexicon().actions
+    shown = [rows[frame.shown] for frame in frames_of(clause) if frame.shown]
+    parts = ["legs" if row.locomotion in ("walk", "run") else row.part for row in shown]
+    if not parts or parts[0] == "legs":
+        return parts[0] if parts else ""
     held = read_as(Handling, clause)
     if held is not None and held.said and held.only_held:
         return "arms"  # a thing that is carried as captured people carry it is no gesture
-    parts = {table.actions[action].part for action in actions_of(clause)}
-    if parts == {"legs"}:
-        return "legs"  # "does a lunge", whose verb says nothing of it
-    if not parts or not parts <= set(_GESTURING):
-        return ""
-    return parts.pop() if len(parts) == 1 else "arms and head"
+    gestures = set(parts)
+    if not gestures <= set(_GESTURING):
+        return parts[0]
+    return parts[0] if len(gestures) == 1 else "arms and head"

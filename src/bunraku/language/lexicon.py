@@ -163,7 +163,6 @@ class Lexicon:
     lemmas: dict[str, str]  # the verb of each form, its own plain one among them
     actions: dict[str, Action]  # the rows of that section
     locomotion: dict[str, str]  # the locomotion of each form of a verb that has one
-    parts: dict[str, str]  # what each form of a verb moves, where it moves a part of the body
     phrases: Phrases  # all but those of limbs
     cues: tuple[str, ...]  # the names of that section
     places: dict[str, frozenset[str]]  # what a side may be the side of, and the words that say it
@@ -209,7 +208,7 @@ def lexicon() -> Lexicon:
     for name, row in data["actions"].items():
         covers = frozenset((*row.get("covers", ()), *(GESTURES_COVER if row.get("gesture") else ())))
         actions[name] = Action(**{**row, "said": tuple(row["said"]), "covers": covers})
-    moving, parts = _of_verbs(actions, data, "locomotion"), _of_verbs(actions, data, "part")
+    moving = _of_verbs(actions, data["locomotion"])
     classes = data["classes"]
     classes["verb"] = "{" + "} {".join(verbs) + "}"
     classes["going"] = " ".join(f"{{{verb}+}}" for verb, way in moving.items() if way in ("walk", "run"))
@@ -239,7 +238,7 @@ def lexicon() -> Lexicon:
     return Lexicon(
         verbs=verbs, third=frozenset(third), gerund=frozenset(gerund), lemmas=lemmas, actions=actions, phrases=phrases,
         posing=posing, past={form: past[form] for form in past.keys() - verbs.keys() - third - gerund},
-        locomotion=_by_form(moving, verbs), parts=_by_form(parts, verbs), cues=tuple(data["cues"]), places=places,
+        locomotion=_by_form(moving, verbs), cues=tuple(data["cues"]), places=places,
         synonyms=dict(data["synonyms"]), ground=data["ground"], otherwise=tuple(otherwise),
         numbers=data["numbers"], holding=signs["<holding>"], handling_verbs=_by_form(handling, verbs),
         heights=heights, levels=data["handling"]["levels"], contrary=tuple(map(frozenset, data["contrary"])),
@@ -251,17 +250,17 @@ def lexicon() -> Lexicon:
     )  # fmt: skip
 
 
-def _of_verbs(actions: Mapping[str, Action], data: Mapping[str, Any], field: str) -> dict[str, str]:
-    """The locomotion or the part of each verb: of the actions that it says alone, and of the table for others."""
+def _of_verbs(actions: Mapping[str, Action], others: Mapping[str, str]) -> dict[str, str]:
+    """The locomotion of each verb: of the actions that it says alone, and of a table of others."""
     found: dict[str, str] = {}
     for action in actions.values():
-        for phrase in action.said if getattr(action, field) else ():
-            first, _, others = phrase.partition(" ")
-            if not others or (" " not in others and others[0] in "!$"):
+        for phrase in action.said if action.locomotion else ():
+            first, _, more = phrase.partition(" ")
+            if not more or (" " not in more and more[0] in "!$"):
                 for word in first.split("/"):
                     if word[0] == "{":
-                        found[word.strip("{+}")] = getattr(action, field)
-    for value, some in data["parts" if field == "part" else field].items():
+                        found[word.strip("{+}")] = action.locomotion
+    for value, some in others.items():
         for verb in some.split():
             found[verb] = value
     return found

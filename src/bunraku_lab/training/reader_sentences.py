@@ -102,15 +102,9 @@ def grammar() -> dict[str, Any]:
 @cache
 def _words_of_fields() -> dict[str, frozenset[str]]:
     """Words that may say something of a field."""
-    said, small = grammar(), set(grammar()["small words"])
-    tables = {"side": said["sides"], "direction": said["directions"], "count": said["counts"],
-              "speed": said["speeds"], "posture": said["postures"]}  # fmt: skip
-    found = {
-        name: frozenset(word for ways in table.values() for way in ways for word in way.split()) - small
-        for name, table in tables.items()
-    }
-    turning = {word for ways in said["turns"].values() for way in ways for word in way.split()}
-    return found | {"turn side": frozenset(turning) - small, "degrees": frozenset(turning) - small}
+    telling = {name: frozenset(words.split()) for name, words in grammar()["telling"].items()}
+    turning = telling.pop("turn")
+    return telling | {"turn side": turning, "degrees": turning}
 
 
 @cache
@@ -128,7 +122,12 @@ class Composer:
         seed: Of the draw.
     """
 
-    def __init__(self, phrases: dict[str, list[str]], weak: Sequence[tuple[str, tuple[str, ...]]], seed: int):
+    def __init__(
+        self,
+        phrases: dict[str, list[str]],
+        weak: Sequence[tuple[str, tuple[str, ...]]],
+        seed: int,
+    ):
         self.phrases, self.weak, self.rng = phrases, weak, np.random.default_rng(seed)
         counts = Counter(action for _, actions in weak for action in actions)
         self.actions = [action for action in phrases if action != NOTHING]
@@ -186,24 +185,26 @@ class Composer:
     def clause(self) -> tuple[str, list[tuple[str, Fields]]]:
         """A clause, and what it says."""
         draw, said = self.rng.random(), self.grammar
-        if draw < 0.13:
+        if draw < 0.15:
             return self.gait()
-        if draw < 0.17:
+        if draw < 0.18:
             action, fields = "idle", _none()
             text = (
                 f"{self.pick(said['held'])} {self.pick(said['stand words'])}"
                 if self.chance(0.6)
                 else self.pick(said["stand words"])
             )
-        elif draw < 0.22:
+        elif draw < 0.235:
             return self.turn()
-        elif draw < 0.25:
+        elif draw < 0.255:
+            return self.glance()
+        elif draw < 0.28:
             way = "starts" if self.chance(0.4) else "stops"
             gait = self.pick(("walk", "run"))
             text = self.pick(said[way]).format(gait=self.pick(said["gait words"][gait]))
             pair = [("idle", _none()), (gait, _none())]
             return text, pair if way == "starts" else pair[::-1]
-        elif draw < 0.33:
+        elif draw < 0.35:
             if self.chance(0.25):
                 return self.pick(said["moods"]), []
             return self.spoken(plain_words(self.pick(self.phrases[NOTHING]))), []
@@ -225,7 +226,7 @@ class Composer:
         first, _, rest = text.partition(" ")
         forms = _forms().get(first.lower())
         if forms is None or len(forms) < 3 or self.chance(0.4):
-            return text
+            return f"{self.pick(self.grammar['performs'])} {text}" if self.chance(0.12) else text
         form = int(self.rng.integers(3))
         before = (
             self.pick(self.grammar["orders"]) if form == 0 else self.pick(self.grammar["subjects"])
@@ -246,10 +247,14 @@ class Composer:
             )
         if action in said["travels"] and "direction" in free and self.chance(0.3):
             way = self.pick([one for one in FIELDS["direction"] if one != "circle"])
-            text, fields["direction"] = (
-                f"{text} {self.pick(said['directions'][way])}",
-                _value("direction", way),
-            )
+            before = self.chance(0.15) and way in FIELDS["direction"][:2]
+            word, fields["direction"] = self.pick(said["directions"][way]), _value("direction", way)
+            text = f"{word} {text}" if before else f"{text} {word}"
+        elif action in said["aiming"] and "direction" in free and self.chance(0.18):
+            way = self.pick(tuple(said["aims"]))
+            text, fields["direction"] = f"{text} {self.pick(said['aims'][way])}", _value("direction", way)
+        if {"degrees", "turn side", "direction"} <= free and not fields["direction"] and self.chance(0.045):
+            text = self.turned(text, fields)
         for name in ("count", "speed"):
             if name in free and self.chance(0.07):
                 value = self.pick([one for one in FIELDS[name] if one in said[f"{name}s"]])
@@ -259,7 +264,7 @@ class Composer:
         if (
             "posture" in free
             and (part or action not in lexicon().actions or action in ("idle", "talk"))
-            and self.chance(0.1)
+            and self.chance(0.15)
         ):
             posture = self.pick(FIELDS["posture"][:5])
             word, action = self.pick(said["postures"][posture]), said["in posture"].get(f"{action} {posture}", action)
@@ -283,7 +288,7 @@ class Composer:
             aside = way in ("left", "right")
             if self.chance(0.25):  # "strafe" turns any gait into a step aside, but not forwards
                 text, aside = f"{text} {self.pick(said['strafes'])}", way in ("left", "right")
-            text = f"{text} {word}"
+            text = f"{word} {text}" if self.chance(0.15) else f"{text} {word}"
             if action == "crouch walk" or ((aside or way.startswith("backward")) and "crouch" in text):
                 fields["posture"] = _value("posture", "crouching")
             action = "sidestep" if aside else "backward" if way.startswith("backward") else action
@@ -291,7 +296,11 @@ class Composer:
             turned, more = self.turn()
             return f"{text} {turned}", [(action, fields), *more]
         elif self.chance(0.15):
-            text, fields["direction"] = f"{text} {self.pick(said['directions']['circle'])}", len(FIELDS["direction"])
+            side = self.pick(("left", "right", "?"))
+            ways = said["directions"]["circle"] if side == "?" else said["circles turning"][side]
+            text, fields["direction"] = f"{text} {self.pick(ways)}", len(FIELDS["direction"])
+            if side != "?":
+                fields["turn side"], fields["degrees"] = _value("turn side", side), _value("degrees", "?")
             return self.spoken(text), [("circle", fields)]
         return self.modified(self.spoken(text), action, fields)
 
@@ -305,10 +314,30 @@ class Composer:
         )
         way = self.pick(said["turns"][action])
         text = way.format(side=side, s=side[0], degrees=degrees)
-        angle = {"turn around": "180", "spin": "360"}.get(action, degrees if "{degrees}" in way else "?")
+        quarter = "90" if "quarter" in way else "?"
+        angle = {"turn around": "180", "spin": "360"}.get(action, degrees if "{degrees}" in way else quarter)
         fields["degrees"] = _value("degrees", angle)
         fields["turn side"] = _value("turn side", side if "{s" in way else "?")
+        posture = self.pick(("", "", "", "", "", "crouching", "sitting"))
+        if posture:
+            word, fields["posture"] = self.pick(said["postures"][posture]), _value("posture", posture)
+            text = f"{word} {text}" if self.chance(0.6) else f"{text} {word}"
         return self.spoken(text), [(action, fields)]
+
+    def turned(self, text: str, fields: Fields) -> str:
+        """A clause with a turn that its action contains."""
+        kind, side = self.pick(tuple(self.grammar["turned"])), self.pick(("left", "right"))
+        sided = kind.endswith("side")
+        fields["turn side"] = _value("turn side", side if sided else "?")
+        fields["degrees"] = _value("degrees", kind.split()[0] if kind[0].isdigit() else "?")
+        return str(self.pick(self.grammar["turned"][kind]).format(text, side=side))
+
+    def glance(self) -> tuple[str, list[tuple[str, Fields]]]:
+        """Eyes and head go to a side, and the body stays."""
+        side, fields = self.pick(("left", "right")), _none()
+        text = self.pick(self.grammar["glances"]).format(side=side, s=side[0])
+        fields["direction"] = _value("direction", side)
+        return self.modified(self.spoken(text), "look aside", fields)
 
 
 def _none() -> Fields:

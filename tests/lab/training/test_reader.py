@@ -34,7 +34,7 @@ def config(tmp_path: Path) -> ReaderTrainConfig:
         "turn around",
         "spin",
     )
-    lines += [f"{action}\t{action}" for action in (*gaits, "crouch idle", "sit", "kneel", "lie")]
+    lines += [f"{action}\t{action}" for action in (*gaits, "crouch idle", "sit", "kneel", "lie", "look aside")]
     (tmp_path / "phrases.tsv").write_text("\n".join(lines), encoding="utf-8")
     (tmp_path / "captions_watched.json").write_text(json.dumps({"clips": {}}), encoding="utf-8")
     (tmp_path / "captions_asked.tsv").write_text("", encoding="utf-8")
