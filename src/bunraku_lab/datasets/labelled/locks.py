@@ -4,12 +4,29 @@ and curtains of flat strips.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from bunraku_lab.datasets.labelled.figures import CARRIER, PART, UNKNOWN, Labelled
 from bunraku_lab.synthetic.families.model import block_mesh
 from bunraku_lab.synthetic.fields import ball
 from bunraku_lab.synthetic.surfaces import curve_through, strand, unit
+
+
+class _Tail(NamedTuple):
+    """Half width and length [m], angle of its root over the middle of the head [rad], how far out it goes [m], bow as a
+    share of its drop, thickness over width, curl of its end along x and z [m], and beads of a braid, 0 for none.
+    """
+
+    fat: float
+    length: float
+    rise: float
+    out: float
+    bow: float
+    flat: float
+    curl: np.ndarray
+    beads: float
 
 
 class _Head:
@@ -86,14 +103,13 @@ class _Head:
         if kind in ("bundle", "braids"):
             rise, out = u(-0.4, 0.3), u(0.0, 0.6) * half[0]
         beads = u(5, 14) if kind == "braids" else 0.0
+        tail = _Tail(fat, length, rise, out, bow, flat, curl, beads)
         for turn in turns:
-            self._tail(turn, fat, length, rise, out, bow, flat, curl, beads)
+            self._tail(turn, tail)
 
-    def _tail(
-        self, turn: float, fat: float, length: float, rise: float, out: float, bow: float, flat: float,
-        curl: np.ndarray, beads: float,
-    ) -> None:  # fmt: skip
+    def _tail(self, turn: float, tail: _Tail) -> None:
         u, rng = self.rng.uniform, self.rng
+        fat, length, rise, out, bow, flat, curl, beads = tail
         sign = np.sign(np.sin(turn)) or 1.0
         way = np.array([np.sin(turn), 0, np.cos(turn)])
         root = self.centre + self.half * 0.95 * (way * np.cos(rise) + [0, np.sin(rise), 0])
