@@ -72,7 +72,8 @@ BOB = 0.05  # how far a body sinks and rises with the beats, over the height of 
 WAVE = {"swim": 1.2, "slither": 0.9}  # waves in a second
 BENT = {"swim": 0.45, "slither": 0.7}  # how far the tip of a tail turns aside [rad]
 BENDS = 0.3  # a tail that swings through less than this does not bend [rad]
-SPEED = {"swim": 0.5, "slither": 0.3}  # lengths of the body in a second
+SPEED = {"swim": 0.5, "slither": 0.3, "step": 0.3, "run": 0.6}
+"""Lengths of the body in a second; without legs it glides where others step or run."""
 LASTS = 1.0
 """What changes more slowly than this is how a body is held in the water, and no swing [s]. Chosen by eye."""
 STAYS = 0.25  # a motion that gets ahead by less than this share of that is given the speed
@@ -140,6 +141,10 @@ def moved_so(motion: HandleMotion, locomotion: str, where: slice, anatomy: Anato
         return _flown(motion, frames, anatomy, loop)
     if locomotion in WAVE:
         motion = _waved(motion, locomotion, frames, anatomy, loop)
+    elif not anatomy.plan.legs:
+        motion = _upon_base(motion) if anatomy.upright else motion
+        if locomotion in SPEED:
+            motion = replace(motion, root_translation=_travelled(motion, locomotion, frames, anatomy))
     return _grounded(motion, locomotion, frames, anatomy) if locomotion in AIR else motion
 
 
@@ -265,13 +270,7 @@ def _waved(motion: HandleMotion, locomotion: str, frames: np.ndarray, anatomy: A
     if locomotion == "swim":
         motion = _levelled(motion, share)
     some = HandleMotion.take(motion, frames)
-    path = motion.root_translation.astype(np.float64)
-    ahead = matrix_y(np.asarray(heading(motion.root_rotation, motion.fps)))[:, :, 2]
-    own = float(((path[frames[-1]] - path[frames[0]]) * ahead[frames].mean(axis=0)).sum())
-    length = float(np.ptp(anatomy.mesh.vertices[anatomy.mesh.surface, 2])) / anatomy.scale
-    wanted = SPEED[locomotion] * length * len(frames) / motion.fps
-    if own < STAYS * wanted:
-        path += np.cumsum(ahead * share[:, None] * wanted / len(frames), axis=0)
+    path = _travelled(motion, locomotion, frames, anatomy)
     rotations = motion.rotations.astype(np.float64).copy()
     turns = np.asarray(axis_angle_from_matrix(some.rotations[:, _TAIL].astype(np.float64)))
     if float(np.ptp(turns, axis=0).max()) < BENDS:
@@ -283,6 +282,27 @@ def _waved(motion: HandleMotion, locomotion: str, frames: np.ndarray, anatomy: A
             for part in _HEAD if name == "head" else [HANDLE_NAMES.index(name)]:
                 rotations[:, part] = turn @ rotations[:, part]
     return _attached(motion, rotations, path)
+
+
+def _upon_base(motion: HandleMotion) -> HandleMotion:
+    """The motion with its root upright, whatever it rests on: all that is above tilts in its place."""
+    facing = np.asarray(matrix_y(heading(motion.root_rotation, motion.fps)), np.float64)
+    rotations = (facing.transpose(0, 2, 1) @ motion.root_rotation)[:, None] @ motion.rotations.astype(np.float64)
+    rotations[:, 0] = np.eye(3)
+    path = motion.root_translation.astype(np.float64)
+    return replace(_attached(motion, rotations, path), root_rotation=facing)
+
+
+def _travelled(motion: HandleMotion, locomotion: str, frames: np.ndarray, anatomy: Anatomy) -> np.ndarray:
+    """The root's path, at a speed fit for the body's length where it hardly gets ahead, shape (N, 3)."""
+    path = motion.root_translation.astype(np.float64)
+    ahead = matrix_y(np.asarray(heading(motion.root_rotation, motion.fps)))[:, :, 2]
+    own = float(((path[frames[-1]] - path[frames[0]]) * ahead[frames].mean(axis=0)).sum())
+    length = float(np.ptp(anatomy.mesh.vertices[anatomy.mesh.surface, 2])) / anatomy.scale
+    wanted = SPEED[locomotion] * length * len(frames) / motion.fps
+    share = _amount(len(motion), frames, motion.fps)
+    more = np.cumsum(ahead * share[:, None] * wanted / len(frames), axis=0)
+    return path + more if own < STAYS * wanted else path
 
 
 def _flat_tail(anatomy: Anatomy) -> bool:
