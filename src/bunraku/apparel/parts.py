@@ -255,7 +255,8 @@ def _whole(character: Character, found: FoundParts, said: Sequence[Piece]) -> Pa
     hangs = (_filled(np.where(hangs, label, -1), edges, area) >= 0) & np.isin(label, HANGING)
     number = np.full(count, -1)
     piece = _pieces(clean.vertices, edges, label)
-    kinds, carriers = [], []
+    kinds: list[str] = []
+    carriers: list[str] = []
     rank = np.bincount(piece, np.where(label == BODY, 0, area))
     votes = np.stack([np.bincount(piece, area * column) for column in found.carriers[first].T], axis=1)
     for part in np.argsort(-rank, kind="stable"):

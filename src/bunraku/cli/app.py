@@ -179,8 +179,8 @@ def _explain(kind: Any) -> None:
     paragraphs are one line each: the parser keeps the line breaks of docstrings that are indented.
     """
     texts: dict[str, str] = {}
-    for each in reversed([each for each in kind.__mro__ if is_dataclass(each)]):
-        body = ast.parse(textwrap.dedent(inspect.getsource(each))).body[0].body  # type: ignore[attr-defined]
+    for parent in reversed([parent for parent in kind.__mro__ if is_dataclass(parent)]):
+        body = ast.parse(textwrap.dedent(inspect.getsource(parent))).body[0].body  # type: ignore[attr-defined, arg-type]
         for above, node in pairwise(body):
             if isinstance(above, ast.AnnAssign) and isinstance(above.target, ast.Name) and isinstance(node, ast.Expr):
                 texts[above.target.id] = _reflowed(ast.literal_eval(node.value))

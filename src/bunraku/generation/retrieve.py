@@ -27,12 +27,7 @@ NEAR = 0.12
 MOTION = 0.15  # share of the cosine with the motion in a score, beside that with the nearest sentence
 EXTRA = 0.04  # by which an example counts for less for each thing that it shows and that was not requested
 NEAR_MADE = 0.05  # the same where the nearest is made by code, since captured ones show its action less plainly
-LEAST = 0.65  # least mean cosine of an example
-LEAST_MADE = 0.4
-"""The same for a gesture, which does the very action and leaves nothing out: a number in the sentence, and the ranker
-is far from words that it has hardly seen.
-"""
-LEAST_AT = 0.1  # the same for one that may be done at another part of the body
+LEAST = 0.65  # least mean cosine of an example; a gesture counts that does the very action, however far its words are
 WALKING = 0.8  # the same for plain walks and runs, which the network does well by itself
 SAME = 0.9
 """Cosine of two sentences that mean the same, whatever words the lexicon finds in them. Not for a gesture made by code:
@@ -49,8 +44,10 @@ PARTLY = 0.6
 _PACE = {"slow", "fast"}  # an example must not say these where they were not requested
 _NOTHING = said_by(()).actions
 _TURNS = {"turn", "turn around", "spin", "circle"}
-_SIDED = frozenset(f"{side} {limb}" for side in ("left", "right") for limb in ("arm", "leg", "turn", "go")) | {
-    "forward", "backwards", "sideways", "half", "full", "gets up", "lies", "sits", "in place",
+_LIMBS = frozenset(f"{side} {limb}" for side in ("left", "right") for limb in ("arm", "leg"))
+_SIDED = _LIMBS | {
+    "left turn", "right turn", "left go", "right go", "forward", "backwards", "sideways", "half", "full", "gets up",
+    "lies", "sits", "in place",
 }  # fmt: skip
 _COUNTS = frozenset(("twice", "thrice", "often"))
 """Captured examples must say these, too; a gesture is done as often as requested."""
@@ -118,8 +115,7 @@ def _offered(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> Retrieved
     found = _retrieved(pack, clause, vector, frozenset())
     if described and not found.found:
         return Retrieved(described)
-    limbed = any(f"{side} {limb}" in clause.cues for side in ("left", "right") for limb in ("arm", "leg"))
-    let_go = _WAYS if limbed and "goes" not in clause.traits else frozenset[str]()
+    let_go = _WAYS if _LIMBS & clause.cues and "goes" not in clause.traits else frozenset[str]()
     let_go |= frozenset(("sits",)) if "sits" not in clause.traits else frozenset[str]()
     let_go |= _COUNTS if clause.count and 1 < clause.count <= MOST_TIMES else frozenset[str]()
     if found.found or found.lacking:
@@ -131,7 +127,7 @@ def _offered(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> Retrieved
         found = found._replace(found=[example._replace(stance=stance) for example in found.found])
     if found.found or found.lacking or clause.parts or clause.voices:
         return found
-    return _retrieved(pack, clause, vector, frozenset(), PARTLY)
+    return _retrieved(pack, clause, vector, _LIMBS, PARTLY)
 
 
 def _described(pack: ExamplePack, clause: Clause, posing: Posing) -> list[Found]:
@@ -167,9 +163,9 @@ def _retrieved(
     for mirrored in (False, True):
         near, moves = pack.nearness(vector, mirrored)
         score = near + MOTION * (moves - near)
-        for index in np.flatnonzero(score >= np.where(pack.made, LEAST_AT, least)).tolist():
+        for index in np.flatnonzero(pack.made | (score >= least)).tolist():
             made = bool(pack.made[index])
-            if made and mirrored and not sided:  # made by code with the hand that most people take
+            if made and (not clause.actions or (mirrored and not sided)):  # it takes the hand that most people take
                 continue
             action = pack.examples[index].action
             if action and query.actions != {action}:  # as `_does` would find by its sentences
@@ -184,8 +180,6 @@ def _retrieved(
             if times > 1 and (made or said.cues & _COUNTS or pack.examples[index].loop is not None):
                 continue
             lacks, part = _lacks(pack, index, mirrored, clause) if made else ((), "")
-            if not part and score[index] < LEAST_MADE:  # at another part its own sentences say little of it
-                continue
             if lacks:
                 lacking.update(dict.fromkeys(lacks))
                 continue

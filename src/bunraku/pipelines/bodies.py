@@ -77,11 +77,7 @@ def body_facts(anatomy: Anatomy) -> BodyFacts:
         area = float(areas[held].sum())
         if area > LEAST:
             clear = float((areas[held] * handles.weights[held][:, inside].sum(axis=1)).sum() / area)
-            shown = (
-                ("trunk" if name == "body" else name).replace("arm", "foreleg")
-                if plan.front and name.endswith("arm")
-                else name
-            )
+            shown = "trunk" if name == "body" else name.replace("arm", "foreleg") if plan.front else name
             parts.append(PartFact(shown, area, clear))
     parts.sort(key=lambda part: -part.area)
     return BodyFacts(plan, tuple(parts), len(anatomy.further), tuple(_cannot(plan, [part.name for part in parts])))

@@ -244,7 +244,10 @@ class ExportClips:
         from bunraku.render.preview import save_beside
 
         takes = [workspace.take(take, self.character) for take in self.takes]
-        shown = [take.points if isinstance(take, Dressed) else take for take in takes]
+        shown = [
+            take.points if isinstance(take, Dressed) else Animation(take.character, take.handles, take.motion)
+            for take in takes
+        ]
         told = partial(_share, report)
         save_beside(shown, target, size=VIDEOS[target.suffix], fps=self.fps, progress=told)
         return {"export": self.export, "bytes": target.stat().st_size}

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -182,8 +182,8 @@ class PostNorm(NamedTuple):
         return self.norm_b(x + self.narrow(gelu(self.wide(x))))
 
 
-def through(layers: Sequence[Callable[[np.ndarray], np.ndarray]], x: np.ndarray) -> np.ndarray:
-    """What layers make of `x`, one after the other."""
+def through(layers: Sequence[Any], x: np.ndarray) -> np.ndarray:
+    """What layers make of `x`, one after the other; mypy takes no named tuple for a callable."""
     for layer in layers:
         x = layer(x)
     return x
