@@ -66,6 +66,12 @@ def test_a_staff_goes_as_a_whole_with_the_hand_that_holds_it():
     assert HANDLE_NAMES[int(weights[0].argmax())] in ("left_wrist", "left_fingers")
 
 
+def test_what_a_figure_stands_on_is_no_part_that_a_leg_carries():
+    beam, added = with_rods("ground", rod([-0.3, -0.9, 0.1], [0.3, -0.9, 0.1], 0.05))
+    parts = parts_of(beam)
+    assert {parts.kinds[number] for number in parts.number[added]} == {"ground"} and not parts.left_out.any()
+
+
 def test_a_part_has_the_kind_that_it_is_given_also_from_the_file_beside(tmp_path):
     dancer = sample_character("dancer")
     parts = parts_of(dancer)

@@ -102,9 +102,11 @@ class Parts:
 
     @property
     def left_out(self) -> np.ndarray:
-        """What no handle is made of, shape (V,), bool: hair that hangs, what is held, what lies about."""
+        """What no handle is made of, shape (V,), bool: hair that hangs, and what is held. What the figure stands on is
+        left to what looks at the whole: a plinth of one skin with a figure is no part that a leg could carry.
+        """
         hair = self.hangs & (self.label == PARTS.index("hair"))
-        return np.asarray(hair | np.isin(self.label, (PARTS.index("prop"), PARTS.index("ground"))))
+        return np.asarray(hair | (self.label == PARTS.index("prop")))
 
 
 _known: OrderedDict[bytes, FoundParts] = OrderedDict()
