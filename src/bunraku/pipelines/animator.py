@@ -30,12 +30,13 @@ from bunraku.errors import CharacterError, FormatError, OptionError
 from bunraku.generation.candidates import SamplingSettings
 from bunraku.generation.networks import Networks
 from bunraku.language.sentence import Sentence, in_stretches
-from bunraku.pipelines.apply import apply_motion, apply_rigged, reference_of, reference_path
+from bunraku.pipelines.apply import GENERATED_STAGES, apply_motion, apply_rigged, reference_of, reference_path
 from bunraku.pipelines.bodies import adapt_to_body, apply_locomotion
 from bunraku.pipelines.requests import RATE, Apparel, Constraints, InPlace, Loop, Request, check_handles
 from bunraku.retarget.stages import Stages
 
 if TYPE_CHECKING:
+    from bunraku.retarget.creatures import CreatureMotion
     from bunraku.retarget.rig_parts import RigParts
 
 LEAST = 0.1
@@ -194,12 +195,19 @@ class Animator:
         for start in range(0, len(requests), AT_ONCE):
             numbers = range(start, min(start + AT_ONCE, len(requests)))
             if any(number in numbers for number in wanted):
-                seeds = [requests[number].sampling.seed for number in numbers]
-                group = [sentences[number] for number in numbers]
-                motions = self._draw(group, seeds, request.constraints, path, drawing)
+                seeds = {number: requests[number].sampling.seed for number in numbers}
+                creatures = {} if as_people or request.constraints else _after_animals(sentences, seeds, body.anatomy)
+                left = [number for number in numbers if number not in creatures]
+                motions: dict[int, HandleMotion] = {}
+                if any(number in left for number in wanted):
+                    group = [sentences[number] for number in left]
+                    drawn = self._draw(group, [seeds[number] for number in left], request.constraints, path, drawing)
+                    motions = dict(zip(left, drawn, strict=True))
                 for number in numbers:
-                    if number in wanted:
-                        yield self._fitted(motions[number - start], sentences[number], body, request)
+                    if number in wanted and number in creatures:
+                        yield _fitted_creature(creatures[number], body, request)
+                    elif number in wanted:
+                        yield self._fitted(motions[number], sentences[number], body, request)
 
     @one_thread()
     def steered(
@@ -412,6 +420,26 @@ class Animator:
         if request.apparel.moves:
             motion = resample(motion, RATE)  # apparel swings faster than the network's 20 frames a second can show
         return apply_rigged(motion, body.parts, constraints, stages, self.progress)
+
+
+def _after_animals(
+    sentences: Sequence[Sentence], seeds: Mapping[int, int], anatomy: Anatomy
+) -> dict[int, CreatureMotion]:
+    """What sentences ask for, by number, where clips of animals show all of it (`retarget.creature_clips`)."""
+    from bunraku.retarget.creature_clips import creature_motion
+
+    taken = {number: creature_motion(sentences[number], anatomy, seed) for number, seed in seeds.items()}
+    return {number: motion for number, motion in taken.items() if motion is not None}
+
+
+def _fitted_creature(motion: CreatureMotion, body: Body, request: Request) -> Animation | RigAnimation:
+    """A motion after clips of animals on a character."""
+    from bunraku.retarget.creatures import fit_creature, fit_creature_rig
+
+    if body.parts is None:
+        return fit_creature(motion, body.anatomy, request.stages or GENERATED_STAGES)
+    motion = motion.at(RATE) if request.apparel.moves else motion
+    return fit_creature_rig(motion, body.parts, request.stages or Stages())
 
 
 def own_rig(character: Character, request: Request, on_handles: Callable[[], Anatomy] | None = None) -> RigParts | None:

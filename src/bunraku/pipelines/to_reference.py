@@ -86,7 +86,7 @@ def _creature_motion(motion: Motion, fps: float, names: Mapping[str, str] | None
         elif rig is not None and (isinstance(motion, RigAnimation) or count == len(rig.names) + 1):
             world = motion.world() if isinstance(motion, RigAnimation) else bones_of(motion)
             try:
-                character, rotations, positions = _facing(character, *world)
+                character, rotations, positions = facing(character, *world)
                 creature = motion_of_rig(RigParts.of(character), rotations, positions, motion.motion.fps)
             except CharacterError:  # the names of its bones say nothing
                 creature = _creature_of_mesh(replace(motion.character, rig=None), motion.vertices(), motion.fps)
@@ -124,11 +124,11 @@ def _of_animation(animation: Animation) -> HandleMotion:
 def _of_rig(character: Character, rotations: np.ndarray, positions: np.ndarray, fps: float) -> HandleMotion:
     from bunraku.retarget.to_reference import rig_to_reference
 
-    character, rotations, positions = _facing(character, rotations, positions)
+    character, rotations, positions = facing(character, rotations, positions)
     return rig_to_reference(RigParts.of(character), rotations, positions, fps, own=True)
 
 
-def _facing(
+def facing(
     character: Character, rotations: np.ndarray, positions: np.ndarray
 ) -> tuple[Character, np.ndarray, np.ndarray]:
     """A character and the motion of its bones, rotated to face +Z by its rig."""

@@ -1,0 +1,81 @@
+"""Clips of animals that creatures move after."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bunraku.anatomy.anatomy import reference_anatomy
+from bunraku.core.body.layout import HANDLE_COUNT
+from bunraku.core.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
+from bunraku.core.motion import HandleMotion
+from bunraku.errors import WeightsError
+from bunraku.files.samples import sample_character
+from bunraku.language.parse import parse
+from bunraku.pipelines.animator import Animator
+from bunraku.pipelines.bodies import adapt_sentence
+from bunraku.pipelines.requests import Request
+from bunraku.retarget import creature_clips
+from bunraku.retarget.creature_clips import CreatureClip, creature_action, creature_motion, packed_clip, shipped_clips
+
+
+def bowing(frames):
+    """A body whose parts turn down and up again."""
+    turns = np.zeros((frames, HANDLE_COUNT, 3))
+    turns[:, 1:, 0] = 0.4 * np.sin(np.linspace(0, np.pi, frames))[:, None]
+    still = np.tile(np.eye(3), (frames, 1, 1))
+    rotations, translations = reference_anatomy().attached(matrix_from_axis_angle(turns))
+    return HandleMotion(translations, rotations, np.zeros((frames, 3)), still)
+
+
+def a_clip(action, frames=21):
+    data = packed_clip(bowing(frames), np.linspace(0, 0.1, frames))
+    return CreatureClip("wolf", action, "four legs", (0.0, 0.0), frames, data)
+
+
+@pytest.fixture(scope="module")
+def dog():
+    return Animator.shipped().body(sample_character("dog"), Request(parse("it eats", 2.0)))
+
+
+def test_a_packed_clip_is_the_same_to_a_millimetre_and_two_milliradians():
+    motion, (found, heights) = bowing(21), a_clip("eat").unpacked
+    away = axis_angle_from_matrix(found.rotations.swapaxes(-1, -2) @ motion.rotations)
+    assert np.linalg.norm(away, axis=-1).max() < 0.003
+    np.testing.assert_allclose(heights, np.linspace(0, 0.1, 21), atol=0.001)
+    with pytest.raises(WeightsError, match="damaged"):
+        _ = replace(a_clip("eat"), data=b"nonsense").unpacked
+
+
+@pytest.mark.parametrize(
+    ("said", "action"),
+    [
+        ("a wolf dies", "death"), ("a deer grazes", "eat"), ("death", "death"), ("Attack Headbutt", "headbutt"),
+        ("a wolf thinks", ""), ("a wolf walks and eats", ""),
+    ],
+)  # fmt: skip
+def test_a_single_action_of_a_creature_is_known_by_its_phrases(said, action):
+    assert creature_action(said) == action
+
+
+def test_a_meal_goes_on_and_a_death_is_held_at_its_end(monkeypatch, dog):
+    monkeypatch.setattr(creature_clips, "shipped_clips", lambda: (a_clip("eat"), a_clip("death")))
+    dies, dances = [
+        adapt_sentence(parse(said), dog.anatomy.plan) for said in ("a dog eats:4; a dog dies:2", "a dog dances")
+    ]
+    motion = creature_motion(dies, dog.anatomy, seed=0).motion
+    bent = np.linalg.norm(axis_angle_from_matrix(motion.rotations[:, 1]), axis=-1)
+    assert len(motion) == 120
+    assert min(bent[20 * beat + 5 : 20 * beat + 15].max() for beat in range(4)) > 0.3
+    np.testing.assert_array_equal(motion.rotations[101:], motion.rotations[[-1] * 19])
+    assert creature_motion(dances, dog.anatomy, seed=0) is None
+
+
+def test_a_dog_eats_on_its_feet_and_lies_down_to_die(dog):
+    assert {clip.action for clip in shipped_clips()} >= {"attack", "bite", "headbutt", "kick", "eat", "death"}
+    requests = [Request(parse(sentence, 3.0)) for sentence in ("a dog eats", "a dog dies")]
+    meal, death = (moved.vertices() for moved in Animator.shipped().each(dog, requests))
+    height = dog.character.height
+    assert np.ptp(meal[..., 1].max(axis=1)) < 0.4 * height
+    assert death[-1][:, 1].max() < 0.75 * height < meal[:, :, 1].max(axis=1).min()
+    assert abs(death[-1][:, 1].min() - dog.character.vertices[:, 1].min()) < 0.03 * height
