@@ -180,15 +180,22 @@ _CHOICES = tuple(
 
 
 def _with_fields(cues: frozenset[str], frames: Sequence[Frame]) -> frozenset[str]:
-    read = frozenset[str]().union(*(frame.cues for frame in frames))
+    ways = _CHOICES[0]  # where arms point is not where the body goes
+    read = frozenset[str]().union(*(frame.cues - ways if _stays(frame) else frame.cues for frame in frames))
     return cues.union(*(read & choice for choice in _CHOICES if not choice & cues))
 
 
 def _meanwhile(frame: Frame) -> str:
     """The stance in which something is done that is not the posture itself; "" where nothing is said of it."""
     posture = frame.fields.get("posture", "")
-    of_arms = "arms" in lexicon().actions[frame.shown].part if frame.shown else False
-    return {"sitting": "seat", "kneeling": "kneel", "lying": "back", "crouching": "squat"}.get(posture, "") * of_arms
+    return {"sitting": "seat", "kneeling": "kneel", "lying": "back", "crouching": "squat"}.get(posture, "") * _stays(
+        frame
+    )
+
+
+def _stays(frame: Frame) -> bool:
+    """Whether arms do it, wherever the body is."""
+    return bool(frame.shown) and "arms" in lexicon().actions[frame.shown].part
 
 
 def _turn(cues: frozenset[str], traits: frozenset[str], actions: tuple[str, ...]) -> Turn | None:
