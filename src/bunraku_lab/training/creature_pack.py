@@ -63,8 +63,12 @@ def pack_creatures(
     credits: dict[str, None] = {}
     for done, (path, category, licence, origin) in enumerate(rows):
         animal = re.split(r"[_\d]", path.stem.lower())[0]
+
+        def wanted(action: str, of: str = animal) -> bool:
+            return counts[of, action] < each
+
         try:
-            for clip in _clips(path, animal, category, lambda action, of=animal: counts[of, action] < each):
+            for clip in _clips(path, animal, category, wanted):
                 if clip.data not in seen:
                     counts[animal, clip.action] += 1
                     seen.add(clip.data)
