@@ -36,7 +36,7 @@ BUDGET = {
     "bunraku/pipelines": (2131, 15),  # a character that never stops, looks and reaches
     "bunraku/bunraku": (93, 1),
     "bunraku/studio": (3908, 24),  # Live, corrections by hand, bounds on every number of a record
-    "bunraku/cli": (2824, 15),  # characters of a file to choose from, wrong options in one sentence
+    "bunraku/cli": (2828, 15),  # characters of a file to choose from, wrong options in one sentence
     "bunraku/__main__": (122, 1),
     "bunraku_lab/nn": (1428, 11),
     "bunraku_lab/description": (766, 5),

@@ -251,7 +251,7 @@ def test_a_sample_becomes_the_file_that_is_named(tmp_path, fails, capsys):
 def test_limits_and_defaults_agree_with_the_library():
     sequence, generate = (
         importlib.import_module("bunraku.language.prompts"),
-        importlib.import_module("bunraku.generation.generate"),
+        importlib.import_module("bunraku.generation.candidates"),
     )
     assert (WHOLE.low, WHOLE.high) == (sequence.SHORTEST, sequence.LONGEST)
     text = (ROOT / "docs" / "cli.md").read_text()

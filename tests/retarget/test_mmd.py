@@ -315,7 +315,7 @@ def skinned(model):
 def test_bones_that_take_over_follow_the_ones_that_motions_move():
     from bunraku_lab.synthetic.stock_motions import stock_motion
 
-    plain, walk = standard_model(), stock_motion("walk", 1.0, 30.0)
+    plain, walk = standard_model(), stock_motion("walk", 1.2, 30.0)
     model = modern(plain)
     moved, known = (fit_rig(walk, skinned(some)) for some in (model, plain))
     rotations, positions = moved.world()
@@ -390,5 +390,5 @@ def test_an_animation_of_an_mmd_character_is_saved_as_vmd(tmp_path):
     from bunraku.core.body.reference import reference_body
 
     person = reference_body().character()
-    with pytest.raises(FormatError, match="not one; transfer onto a .pmx"):
+    with pytest.raises(FormatError, match="which this character is not; transfer onto a .pmx"):
         RigAnimation(person, np.tile(np.eye(3), (2, 22, 1, 1)), np.zeros((2, 22, 3))).save(tmp_path / "person.vmd")

@@ -306,7 +306,7 @@ class PartNetwork:
         self._decoder = weights.norm("decoder.0", middle), weights.linear("decoder.1", middle, out)
 
     def scores(self, seen: PartPoints) -> np.ndarray:
-        """Scores of the parts, of hanging and of the carriers, shape (S, parts + 1 + carriers)."""
+        """[MMDMC 2] Scores of the parts, of hanging and of the carriers, shape (S, parts + 1 + carriers)."""
         points = seen.surface.points.astype(np.float32)
         centres, beside = points[:CENTRES], seen.beside[:, :BESIDE]
         piece = np.unique(seen.surface.part, return_inverse=True)[1]

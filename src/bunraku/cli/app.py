@@ -263,7 +263,11 @@ def _print_help(verbs: Verbs, group: str = "") -> None:
         for word, names in sorted(research.items()):
             start = f"  {word:<{width}}  "
             listed = ", ".join(sorted(names))
-            print(textwrap.fill(listed, 100, initial_indent=start, subsequent_indent=" " * len(start)))
+            print(
+                textwrap.fill(
+                    listed, 100, initial_indent=start, subsequent_indent=" " * len(start), break_on_hyphens=False
+                )
+            )
         print("\n  --version  print the version\n  --debug    show the traceback of an error (or set BUNRAKU_DEBUG=1)")
         print(
             '\nexample: bunraku animate dragon.glb "walks forward, then waves" --seconds 6 -o dragon-wave.glb '

@@ -30,7 +30,7 @@ class Stages:
         support: Legs stay under the trunk of a body on four legs.
         feet: Standing feet do not slide.
         hands: Hands that touch the body stay near it.
-        hands_clear: Hands stay out of the body.
+        hands_clear: Hands and forearms stay out of the body.
         lag: Ears, horns, a trunk and a tail that nothing moves follow what they grow from with a damped lag.
         tail_clear: A tail that would sink into the ground is turned up.
         floor: Nothing sinks into the ground, and feet that stand, and legs of a body that lies, are on it.
