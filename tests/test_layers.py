@@ -29,7 +29,7 @@ BUDGET = {
     "bunraku/language": (3678, 21),  # the reader, beside the rules that it has not replaced yet
     "bunraku/anatomy": (4193, 20),  # what stands beside a body, rigs known by their skin, corrections by hand
     "bunraku/gestures": (1788, 9),
-    "bunraku/retarget": (3379, 21),  # bones of MMD that take over others' rotations, swimming, clips of animals
+    "bunraku/retarget": (3381, 21),  # bones of MMD that take over others' rotations, swimming, clips of animals
     "bunraku/generation": (2993, 20),  # the verifier
     "bunraku/render": (1339, 9),  # videos of takes side by side
     "bunraku/apparel": (5354, 29),

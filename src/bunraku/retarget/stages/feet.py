@@ -87,7 +87,7 @@ class Feet(Stage):
         return bool(anatomy.legs) and len(fitting.source) > 2
 
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
-        motion, contacts = self.locked(fitting.motion, anatomy, keeps=not fitting.source.own_height)
+        motion, contacts = self.locked(fitting.motion, anatomy, None if fitting.source.own_height else fitting.source)
         return replace(fitting.moved(motion), contacts=contacts)
 
     def contacts(self, motion: HandleMotion, anatomy: Anatomy) -> tuple[Contacts, np.ndarray]:
@@ -204,15 +204,15 @@ class Feet(Stage):
         return solve_banded(band, right)
 
     def locked(
-        self, motion: HandleMotion, anatomy: Anatomy, keeps: bool = False
+        self, motion: HandleMotion, anatomy: Anatomy, source: HandleMotion | None = None
     ) -> tuple[HandleMotion, Contacts | None]:
         """The motion with standing feet held in place, and its contacts; None where it has no legs.
 
         Args:
             motion: Of the character, on the ground.
             anatomy: Of the character, with L legs.
-            keeps: Whether its path counts, as that of a motion of another body does: what its steps are shorter or
-                longer for it the legs make up alone, step by step.
+            source: The motion of the reference body whose path counts; None where the path may change. What steps are
+                shorter or longer than there the legs make up alone, step by step; what slides there is held here.
         """
         legs = anatomy.legs
         if not legs or len(motion) < 3:
@@ -220,8 +220,10 @@ class Feet(Stage):
         contacts, missing = self.contacts(motion, anatomy)
         path = motion.root_translation.astype(np.float64)
         away = np.concatenate([np.zeros((1, 2)), np.cumsum(missing, axis=0)])
-        if keeps:
-            away -= _lasting(away, self.stride * motion.fps)
+        if source is not None:
+            _, slid = self.contacts(source, reference_anatomy())
+            drift = away[1:] - np.cumsum(anatomy.scale * slid, axis=0)
+            away -= _lasting(np.concatenate([away[:1], drift]), self.stride * motion.fps)
             missing = np.diff(away, axis=0)
         path[:, [0, 2]] += away
         motion = replace(motion, root_translation=path)
