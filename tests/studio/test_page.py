@@ -576,6 +576,10 @@ def test_scrubbing_puts_the_mesh_where_the_library_has_it(page):
 
 
 def test_learned_apparel_has_a_dial_and_is_where_the_library_has_it(page):
+    page.page.click("#sample-dancer")  # the dragon wears nothing
+    page.until("studio.character.value?.name === 'dancer' && studio.character.value.state === 'ready'")
+    page.until("studio.take.value && studio.take.value.state === 'done'")
+    page.shown()
     page.page.click("#body > summary")
     page.page.select_option("#apparel", "learn")
     page.page.click("#dress")
