@@ -182,7 +182,7 @@ class ExampleSettings:
     seed: int = 0
     add_to: Path | None = None
     captions: Path | None = None
-    motion: int = 8_000_000
+    motion: int = 5_200_000
 
 
 GESTURE = "gesture"
