@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from bunraku.core.geometry.graph import clean_mesh, mesh_parts, unique_edges
 from bunraku.core.nn.checkpoints import config_of, load_network
-from bunraku.core.nn.layers import Norm, PreNorm, Weights, gelu
+from bunraku.core.nn.layers import Norm, Perceptron, Weights, gelu, through
 
 PARTS = ("body", "hair", "skirt", "cape", "sleeve", "tail", "prop", "accessory", "ground")
 """Kinds of parts. A skirt is also a robe or the tails of a coat, a tail also an ear; ground is what a figure stands on
@@ -247,23 +247,23 @@ class _Near:
 class _Gather:
     def __init__(self, width: int, out: int, scale: float, weights: Weights):
         self._near = _Near(width, out, scale, weights.part("near"))
-        self._mix, self._leave = weights.linear("mix", width + out, out), weights.linear("leave", out, out)
+        self._mix = Perceptron(weights.linear("mix", width + out, out), weights.linear("leave", out, out))
 
     def __call__(self, x: np.ndarray, points: np.ndarray, count: int, index: np.ndarray) -> np.ndarray:
         near = self._near(x, points, count, index)
-        return self._leave(gelu(self._mix(np.concatenate([x[:count], near], axis=1))))
+        return self._mix(np.concatenate([x[:count], near], axis=1))
 
 
 class _Beside:
     def __init__(self, width: int, weights: Weights):
         self._norm: Norm = weights.norm("norm", width)
         self._near = _Near(width, width, SCALES[1], weights.part("near"))
-        self._mix, self._leave = weights.linear("mix", 2 * width, width), weights.linear("leave", width, width)
+        self._mix = Perceptron(weights.linear("mix", 2 * width, width), weights.linear("leave", width, width))
 
     def __call__(self, x: np.ndarray, points: np.ndarray, index: np.ndarray) -> np.ndarray:
         own = self._norm(x)
         near = self._near(own, points, len(points), index)
-        return np.asarray(x + self._leave(gelu(self._mix(np.concatenate([own, near], axis=1)))))
+        return np.asarray(x + self._mix(np.concatenate([own, near], axis=1)))
 
 
 class PartNetwork:
@@ -280,23 +280,18 @@ class PartNetwork:
     def __init__(self, config: PartConfig, weights: Weights):
         self.config = config
         fine, middle, coarse = config.fine, config.middle, config.coarse
-        self._enter = weights.linear("enter.0", FEATURES, fine), weights.linear("enter.2", fine, fine)
+        self._enter = Perceptron(weights.linear("enter.0", FEATURES, fine), weights.linear("enter.2", fine, fine))
         self._piece = weights.linear("piece", 2 * fine, fine)
         self._to_centres = _Gather(fine, middle, SCALES[0], weights.part("to_centres"))
         self._before = [_Beside(middle, weights.part(f"before.{number}")) for number in range(config.before)]
         self._to_tokens = _Gather(middle, coarse, SCALES[2], weights.part("to_tokens"))
         self._where, self._norm_tokens = weights.linear("where", WAVES, coarse), weights.norm("norm_tokens", coarse)
-        self._layers = []
-        for number in range(config.layers):
-            own = weights.part(f"layers.{number}")
-            self._layers.append(
-                PreNorm(
-                    own.attention("enter", "leave", coarse, config.heads),
-                    own.norm("norm_a", coarse),
-                    own.feed_forward("wide", "narrow", coarse, 3 * coarse),
-                    own.norm("norm_b", coarse),
-                )
+        self._layers = [
+            weights.part(f"layers.{number}").pre_norm(
+                "enter leave norm_a wide narrow norm_b", coarse, config.heads, 3 * coarse
             )
+            for number in range(config.layers)
+        ]
         self._norm = weights.norm("norm", coarse)
         self._down = weights.linear("down", middle + coarse, middle)
         self._after = [_Beside(middle, weights.part(f"after.{number}")) for number in range(config.after)]
@@ -310,15 +305,13 @@ class PartNetwork:
         points = seen.surface.points.astype(np.float32)
         centres, beside = points[:CENTRES], seen.beside[:, :BESIDE]
         piece = np.unique(seen.surface.part, return_inverse=True)[1]
-        x = self._enter[1](gelu(self._enter[0](point_features(seen.surface))))
+        x = self._enter(point_features(seen.surface))
         x += gelu(self._piece(np.concatenate([x, _piece_mean(gelu(x.copy()), piece)], axis=1)))
         y = self._to_centres(x, points, CENTRES, seen.gather[:, :GATHERED])
         for block in self._before:
             y = block(y, centres, beside)
         z = self._to_tokens(y, centres, TOKENS, seen.gather_up[:, :GATHERED]) + self._where(waves(points[:TOKENS]))
-        z = self._norm_tokens(z)[None]
-        for layer in self._layers:
-            z = layer(z)
+        z = through(self._layers, self._norm_tokens(z)[None])
         z = _blended(self._norm(z[0]), seen.down, seen.down_shares)
         y += self._down(np.concatenate([y, z], axis=1))
         for block in self._after:

@@ -14,7 +14,7 @@ from scipy.sparse import csr_matrix
 from bunraku.core.body.layout import HANDLE_COUNT
 from bunraku.core.geometry.axes import right_angle_rotations
 from bunraku.core.nn.checkpoints import config_of, load_network
-from bunraku.core.nn.layers import Linear, Perceptron, PreNorm, Weights, gelu, normed, softmax, through
+from bunraku.core.nn.layers import Linear, Perceptron, Weights, gelu, normed, softmax, through
 
 _NEAR = 3  # anchors that each vertex listens to
 
@@ -242,13 +242,10 @@ class _GraphLayer:
         self.own = Linear(itself.matrix - self.neighbour.matrix, itself.bias)
         self.enter = weights.linear("enter", width_in + 3, width_out)
         self.blocks = [  # rounds in which the anchors pass messages to one another
-            PreNorm(
-                part.attention("attention", "merge", width_out, heads),
-                part.norm("norm_attention", width_out),
-                part.feed_forward("mix.0", "mix.2", width_out, 2 * width_out),
-                part.norm("norm_mix", width_out),
+            weights.part(f"blocks.{index}").pre_norm(
+                "attention merge norm_attention mix.0 mix.2 norm_mix", width_out, heads, 2 * width_out
             )
-            for part in (weights.part(f"blocks.{index}") for index in range(depth))
+            for index in range(depth)
         ]
         self.norm = weights.norm("norm", width_out)
 
@@ -414,13 +411,10 @@ class OrientationPredictor:
         width = config.width
         self._enter = Perceptron(weights.linear("enter.0", TOKEN, width), weights.linear("enter.2", width, width))
         self._layers = [
-            PreNorm(
-                part.attention("attention", "merge", width, config.heads),
-                part.norm("norm", width),
-                part.feed_forward("mix.1", "mix.3", width, 2 * width),
-                part.norm("mix.0", width),
+            weights.part(f"layers.{index}").pre_norm(
+                "attention merge norm mix.1 mix.3 mix.0", width, config.heads, 2 * width
             )
-            for part in (weights.part(f"layers.{index}") for index in range(config.layers))
+            for index in range(config.layers)
         ]
         self._norm = weights.norm("norm", width)
         self._head = Perceptron(weights.linear("head.0", 2 * width, width), weights.linear("head.2", width, 1))

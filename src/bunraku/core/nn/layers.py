@@ -375,6 +375,16 @@ class Weights:
         """From two linear layers by name."""
         return FeedForward(self.linear(wide, width, inner), self.linear(narrow, inner, width))
 
+    def pre_norm(self, names: str, width: int, heads: int, inner: int) -> PreNorm:
+        """A transformer layer from the names of its attention's two linear layers, its norm, the two of its
+        feed-forward and that one's norm.
+        """
+        enter, leave, norm_a, wide, narrow, norm_b = names.split()
+        return PreNorm(
+            self.attention(enter, leave, width, heads), self.norm(norm_a, width),
+            self.feed_forward(wide, narrow, width, inner), self.norm(norm_b, width),
+        )  # fmt: skip
+
     def done(self) -> None:
         """Raise ValueError unless all have been handed out."""
         if self._left:
