@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from bunraku.generation.generate import generate_motions
-from bunraku.generation.track import Track
+from bunraku.generation.verifier import Track
 from bunraku.language.parse import parse
 
 LATE, REST, TURN, LIVELY = 1.0, 1.5, 60.0, 0.4

@@ -7,6 +7,7 @@ from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_MIRROR
 from bunraku.core.geometry.rotations import heading, matrix_from_axis_angle, matrix_y
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin
+from bunraku.generation.composition import join_point, splice
 from bunraku.generation.features import (
     FEATURE_SIZE,
     FeatureStatistics,
@@ -15,7 +16,6 @@ from bunraku.generation.features import (
     feature_weights,
     mirror,
 )
-from bunraku.generation.splicing import join_point, splice
 
 
 def smooth_motion(frames=60, seed=0, fps=20.0, canonical=False):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bunraku.core.body.joint_rotations import skeleton_from_handles
-from bunraku.generation.composition import unturned
+from bunraku.generation.composition import on_one_leg, unturned
 from bunraku.generation.features import FeatureStatistics, decode, mirror
 from bunraku.generation.guide import (
     GuidanceExamples,
@@ -22,7 +22,6 @@ from bunraku.generation.guide import (
 from bunraku.generation.networks import Networks, Texts
 from bunraku.generation.pack import ExamplePack, packed_stretch
 from bunraku.generation.retrieve import Found
-from bunraku.generation.splicing import on_one_leg
 from bunraku.language.parse import clause_of, parse
 from bunraku.language.posing import Manner
 
@@ -478,9 +477,9 @@ def test_what_a_clause_adds():
 
 def test_the_name_of_a_gesture_is_the_action_that_its_sentences_say(networks):
     pack = networks.examples
-    named = [index for index, example in enumerate(pack.examples) if example.action]
+    named = [index for index, action in enumerate(pack.actions) if action]
     assert len(named) == sum(pack.made) - 1  # the gesture of standing has no action
-    assert all(pack.said(index).actions == {pack.examples[index].action} for index in named)
+    assert all(pack.said[index].actions == {pack.actions[index]} for index in named)
 
 
 def test_what_no_motion_shows_is_said(networks):

@@ -12,7 +12,6 @@ from bunraku.core.files import weights_file
 from bunraku.core.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 from bunraku.core.motion import SkeletalMotion, Skeleton
 from bunraku.errors import WeightsError
-from bunraku.generation.attended import ExampleBank, take_of
 from bunraku.generation.extractor import ExtractorConfig
 from bunraku.generation.features import FeatureStatistics, body_handle_motion, decode, encode, mirror
 from bunraku.generation.pack import (
@@ -27,7 +26,7 @@ from bunraku.generation.pack import (
     unpacked_stretch,
     write_pack,
 )
-from bunraku.generation.retrieve import retrieve
+from bunraku.generation.retrieve import ExampleBank, retrieve, take_of
 from bunraku.language.captions import mirror_words
 from bunraku.language.lexicon import said_cues
 from bunraku.language.parse import clause_of
@@ -288,7 +287,7 @@ def test_takes():
 
 def test_the_sampler_retrieves_for_the_sentence_from_the_shipped_examples(running):
     """Motions of a network that attends to examples differ from those that it makes where none is usable."""
-    from bunraku.generation import attended
+    from bunraku.generation.retrieve import example_bank
     from bunraku.generation.sampler import Solver
     from bunraku.language.encoders import text_encoder
     from bunraku_lab.evaluation.motion.samples import sample
@@ -299,8 +298,8 @@ def test_the_sampler_retrieves_for_the_sentence_from_the_shipped_examples(runnin
     model = running(examples=2, **sizes)
     text = encoder.encode(["a person does a cartwheel"])
     statistics = FeatureStatistics(model.mean, model.std)
-    bank = attended.example_bank(model.config, statistics)
-    assert attended.example_bank(model.config, statistics) is bank
+    bank = example_bank(model.config, statistics)
+    assert example_bank(model.config, statistics) is bank
     found = bank(text)
     assert found.values.shape[:2] == (1, 2) and (found.lengths > 0).all()
     one = sample(model, text, 40, Solver(2), seed=1).values
@@ -312,7 +311,7 @@ def test_the_sampler_retrieves_for_the_sentence_from_the_shipped_examples(runnin
 def test_what_the_pack_holds_of_its_sentences_is_what_is_read_in_them():
     pack = read_pack(weights_file("examples.safetensors"))
     for index in np.random.default_rng(0).choice(len(pack.examples), 40, replace=False).tolist():
-        assert pack.said(index) == said_by(pack.examples[index].texts), (
+        assert pack.said[index] == said_by(pack.examples[index].texts), (
             f"{pack.examples[index].name}: sentences are read otherwise now; write the pack again with 'bunraku data "
             "examples --add-to shipped -o src/bunraku/weights/examples.safetensors'"
         )

@@ -8,8 +8,7 @@ import pytest
 from bunraku.core.geometry.curves import gaussian
 from bunraku.core.nn.checkpoints import load_checkpoint, save_checkpoint
 from bunraku.core.nn.layers import unit
-from bunraku.generation.candidates import SamplingSettings
-from bunraku.generation.classifier_guidance import SPREAD, STRENGTH, ClassifierGuidance, Critic, Spoken
+from bunraku.generation.candidates import SPREAD, STRENGTH, ClassifierGuidance, Critic, SamplingSettings, Spoken
 from bunraku.generation.denoiser import FEW_STEPS_KIND, fingerprint, load_denoiser_of_few_steps
 from bunraku.generation.extractor import RADIUS, ExtractorConfig
 from bunraku.generation.sampler import (

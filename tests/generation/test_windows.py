@@ -12,8 +12,7 @@ from bunraku.core.nn.layers import Condition
 from bunraku.core.travel import closed_loop, in_place, moved, placed_at, repeated
 from bunraku.generation.candidates import arrive
 from bunraku.generation.features import FEATURE_SIZE, decode
-from bunraku.generation.sampler import Solver, alphas_cumprod
-from bunraku.generation.windows import plan_windows, sample_plans
+from bunraku.generation.sampler import Solver, alphas_cumprod, plan_windows, sample_plans
 from bunraku_lab.evaluation.motion.metrics import posed_positions
 
 FEATURES = 6

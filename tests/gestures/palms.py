@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bunraku.gestures.standing import AT
+from bunraku.gestures.play import AT
 
 
 def palms(motion):

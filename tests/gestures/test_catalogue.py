@@ -11,9 +11,8 @@ from bunraku.errors import FormatError
 from bunraku.generation.features import body_handle_motion
 from bunraku.gestures.catalogue import STANDING, at_part, gesture_of, gestures, part_in, read_gestures, read_parts
 from bunraku.gestures.perform import performed
-from bunraku.gestures.play import gesture_motion
+from bunraku.gestures.play import AT, gesture_motion
 from bunraku.gestures.pose import HANGING, Gesture, Hand, Pose, Repeat, again, foot_on, through
-from bunraku.gestures.standing import AT
 from bunraku.language.lexicon import actions_of
 from bunraku.language.understood import understood
 

@@ -9,8 +9,7 @@ from bunraku.core.motion import SkeletalMotion
 from bunraku.gestures.catalogue import STANDING, read_places, things_file
 from bunraku.gestures.interactions import interaction_gesture, read_terrain_gaits
 from bunraku.gestures.perform import performed
-from bunraku.gestures.play import Tracks, gesture_motion, posed
-from bunraku.gestures.standing import AT, swaying
+from bunraku.gestures.play import AT, Tracks, gesture_motion, posed, swaying
 from bunraku.language.interactions import Contact, Gaze, Handling, HandlingStep, Place, Terrain, read_as
 from bunraku.language.lexicon import lexicon
 

@@ -13,9 +13,8 @@ from bunraku.generation.pack import load_examples
 from bunraku.gestures.catalogue import gestures
 from bunraku.gestures.limb_gesture import in_stance, limb_gesture
 from bunraku.gestures.perform import accompanied, performed
-from bunraku.gestures.play import Tracks, gesture_motion, posed
+from bunraku.gestures.play import AT, Tracks, captured, gesture_motion, posed, stands_well, swaying
 from bunraku.gestures.pose import Pose
-from bunraku.gestures.standing import AT, captured, stands_well, swaying
 from bunraku.language.posing import Manner, Stance, posing_of
 
 

@@ -10,7 +10,7 @@ from bunraku.anatomy.legs import BodyPlan
 from bunraku.core.body.reference import reference_body
 from bunraku.core.motion import MeshMotion
 from bunraku.language.parse import for_body, parse
-from bunraku.pipelines.bodies import adapt_sentence, adapt_to_body, body_facts, body_kind
+from bunraku.pipelines.apply import adapt_sentence, adapt_to_body, body_facts, body_kind
 from bunraku.pipelines.to_reference import _standing
 from bunraku.retarget.rig_parts import RigParts
 from bunraku_lab.synthetic.families import EVALUATION_SEED, code_made_character

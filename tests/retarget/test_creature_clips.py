@@ -13,7 +13,7 @@ from bunraku.errors import WeightsError
 from bunraku.files.samples import sample_character
 from bunraku.language.parse import parse
 from bunraku.pipelines.animator import Animator
-from bunraku.pipelines.bodies import adapt_sentence
+from bunraku.pipelines.apply import adapt_sentence
 from bunraku.pipelines.requests import Request
 from bunraku.retarget import creature_clips
 from bunraku.retarget.creature_clips import CreatureClip, creature_action, creature_motion, packed_clip, shipped_clips

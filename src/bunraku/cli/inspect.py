@@ -298,7 +298,7 @@ def _body(character: Character, up: str, front: str, unit: str) -> dict[str, Any
     from bunraku.apparel.parts import part_facts
     from bunraku.files import in_metres, rotated
     from bunraku.pipelines.animator import Animator
-    from bunraku.pipelines.bodies import body_facts
+    from bunraku.pipelines.apply import body_facts
     from bunraku.pipelines.requests import Request
 
     animator = Animator.shipped()

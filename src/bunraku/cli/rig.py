@@ -154,7 +154,7 @@ class Rig:
 
             from bunraku.anatomy.anatomy import Anatomy
             from bunraku.pipelines.animate import rig
-            from bunraku.pipelines.bodies import body_facts
+            from bunraku.pipelines.apply import body_facts
 
             handles = rig(character, handles=self.handles, progress=report)
             anatomy = Anatomy.of(character, handles)

@@ -1,35 +1,124 @@
-"""Candidates sampled in one batch: scripts to windows, noise to features, paths of the root, and parts of the body that
-are kept.
+"""Candidates of one motion: sampled in one batch, guided by a network that knows which motion belongs to which
+sentence, and the best of them chosen, by a network that was trained apart from the judge of the tables and by rule.
+
+Each sentence of a script is compared with its own part of the motion; a motion's score is the mean of their cosines.
+What a sentence plainly says and does not say (`verifier`) weighs more: a punch with the wrong hand is no choice.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bunraku.core.geometry.curves import smooth_step
+from bunraku.core.geometry.curves import gaussian, smooth_step
 from bunraku.core.request import CANDIDATES
 from bunraku.core.request import GUIDANCE as GUIDANCE_LIMIT
 from bunraku.core.request import STEPS as STEP_LIMIT
 from bunraku.core.travel import GroundPath
 from bunraku.errors import OptionError
-from bunraku.generation.composition import steadied, straightened, turned_as_asked
-from bunraku.generation.features import FEATURE_SIZE, FeatureStatistics, root_velocities, standing_legs
+from bunraku.generation.composition import clause_spans, steadied, straightened, turned_as_asked
+from bunraku.generation.denoiser import Denoiser
+from bunraku.generation.extractor import LONGEST, RADIUS, SHORTEST, Extractor, embed_motions
+from bunraku.generation.features import FEATURE_SIZE, FeatureStatistics, decode, root_velocities, standing_legs
 from bunraku.generation.networks import Networks
+from bunraku.generation.sampler import ROOT
+from bunraku.generation.verifier import Verdict, verify
 from bunraku.language.sentence import Clause
 
 if TYPE_CHECKING:
-    from bunraku.generation.classifier_guidance import Critic
     from bunraku.generation.denoiser import Denoiser
     from bunraku.generation.guide import GuidanceExample
     from bunraku.generation.networks import Texts
-    from bunraku.generation.ranking import Candidate
     from bunraku.generation.sampler import Solver
+
+# Chosen by eye on sheets of generated motion.
+WEIGHT = 0.5
+"""Of the agreement beside a cosine; candidates' cosines differ by a tenth. Chosen by eye, as are the next two."""
+CAPTURED = 0.1  # for a candidate that starts from a captured example: the ranker hardly sees that a motion is too small
+ENOUGH = 0.75  # agreement below which a motion is drawn again
+ATTEMPTS = 4  # most draws of candidates
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One candidate."""
+
+    motion: np.ndarray  # features of each frame, shape (N, 271)
+    adaptation: np.ndarray  # offsets of local translations [m], shape (N, K, 3)
+    script: Sequence[tuple[Clause, int]]  # its clauses with the frames that each lasts
+    verdict: Verdict | None = None  # the claim of theirs that holds least; None where they make no claim
+    captured: bool = False  # it starts from a captured example
+
+
+def script_scores(
+    ranker: Extractor, text: Mapping[str, np.ndarray], motions: Sequence[np.ndarray],
+    scripts: Sequence[Sequence[tuple[Clause, int]]],
+) -> np.ndarray:  # fmt: skip
+    """How well each motion (N, 271) does what its script says, (M,): the ranker's mean cosine over its sentences."""
+    pieces: list[np.ndarray] = []
+    owners: list[tuple[int, str, int]] = []
+    for index, (features, script) in enumerate(zip(motions, scripts, strict=True)):
+        for clause, span in clause_spans(script):
+            part = features[span]
+            for cut in np.array_split(part, -(-len(part) // LONGEST)) if len(part) >= SHORTEST else ():
+                pieces.append(cut)
+                owners.append((index, clause.text, len(cut)))
+    if not pieces:
+        return np.zeros(len(motions))
+    vectors = embed_motions(ranker, pieces)
+    total, weight = np.zeros(len(motions)), np.zeros(len(motions))
+    for vector, (index, sentence, frames) in zip(vectors, owners, strict=True):
+        total[index] += frames * float(vector @ text[sentence]) / RADIUS**2
+        weight[index] += frames
+    return total / np.maximum(weight, 1)
+
+
+def script_verdict(motion: np.ndarray, script: Sequence[tuple[Clause, int]], led: bool = False) -> Verdict | None:
+    """The claim of a script that holds least of a motion (N, 271); None where it makes none. `led` motions start from
+    examples, so that limbs go where the sentence says.
+    """
+    parts = [(clause, motion[span]) for clause, span in clause_spans(script)]
+    verdicts = [verify(clause, decode(part), not led) for clause, part in parts if len(part) >= SHORTEST]
+    return min((one for one in verdicts if one is not None), key=lambda one: one.agreement, default=None)
+
+
+def choose(
+    draw: Callable[[list[int], list[int]], list[Candidate]], motions: int, candidates: int,
+    score: Callable[[Sequence[Candidate]], np.ndarray],
+) -> list[Candidate]:  # fmt: skip
+    """The best candidate of each motion, the same whatever motions stand beside it; where not even that does what is
+    plainly said, more are drawn.
+
+    Args:
+        draw: Draws candidates of motions, by the motion and the index of each.
+        motions: How many there are.
+        candidates: Of each, at a time.
+        score: The ranker's scores, shape (M,).
+    """
+    best: dict[int, tuple[float, Candidate]] = {}
+    wanted = list(range(motions))
+    for attempt in range(ATTEMPTS):
+        rows = [motion for motion in wanted for _ in range(candidates)]
+        indices = [attempt * candidates + index for _ in wanted for index in range(candidates)]
+        drawn = draw(rows, indices)
+        for motion, candidate, cosine in zip(rows, drawn, score(drawn).tolist(), strict=True):
+            total = cosine + WEIGHT * min(_agreement(candidate), ENOUGH) + CAPTURED * candidate.captured
+            if motion not in best or total > best[motion][0]:
+                best[motion] = (total, candidate)
+        wanted = [motion for motion in wanted if _agreement(best[motion][1]) < ENOUGH]
+        if not wanted:
+            break
+    return [best[motion][1] for motion in range(motions)]
+
+
+def _agreement(candidate: Candidate) -> float:
+    return 1.0 if candidate.verdict is None else candidate.verdict.agreement
+
 
 STILL = 0.3  # m/s; a loop whose root goes no faster than this, all in all, is meant to stay where it is
 
@@ -171,10 +260,9 @@ def draw_candidates(
         critic: Guides them towards their sentences; None for no guidance.
     """
     from bunraku.core.nn.layers import one_thread
+    from bunraku.generation.candidates import Candidate, script_verdict
     from bunraku.generation.composition import PartTrack, with_limbs
-    from bunraku.generation.ranking import Candidate, script_verdict
-    from bunraku.generation.sampler import Steering
-    from bunraku.generation.windows import plan_windows, sample_plans
+    from bunraku.generation.sampler import Steering, plan_windows, sample_plans
 
     model = how.denoiser
     lengths = [frames_of([clause.seconds for clause in script], model.config.fps) for script in scripts]
@@ -301,3 +389,102 @@ def closed(values: np.ndarray, model: Denoiser) -> np.ndarray:
     mean, std = model.mean[:3], model.std[:3]
     root = arrive(values[:, :3] * std + mean, model.config.fps, None, None)
     return np.concatenate([(root - mean) / std, values[:, 3:]], axis=-1)
+
+
+STRENGTH = 0.2  # root mean square of a step, in standard deviations of the features
+LAST = 100  # step of the sampler below which nothing is guided: what is left there are details
+SPREAD = 2.0  # standard deviation of the smoothing [frames]
+FEW = 10  # where fewer steps than this predict a motion, each prediction is guided twice
+GROUP = 16  # stretches that go through the network at once
+
+
+@dataclass(frozen=True)
+class Spoken:
+    """A stretch of the time line with its sentence."""
+
+    frames: tuple[int, int]  # its first frame, and the one after its last
+    vector: np.ndarray  # of the sentence, of length 1, shape (E,)
+    # step of the sampler down to which it is not guided, because it is given; 1,000 where it never is
+    until: int = 1000
+
+
+class ClassifierGuidance:
+    """Guides each predicted x0 towards the sentences of its stretches, `rounds` times by steps with a root mean square
+    of `strength`; mean and deviation are those of the features, shape (D,). Each step goes up the gradient of the
+    cosine of their vectors (as classifier guidance, Dhariwal and Nichol 2021, but on x0).
+
+    The gradient is smoothed in time, so that it changes the action and not the details, in which such a network can be
+    deceived. It has one size whatever its length, since a prediction of the first steps resembles no motion and is far
+    from any sentence. The root is not guided: with it walks became slower and nothing better.
+    """
+
+    def __init__(
+        self, network: Extractor, mean: np.ndarray, std: np.ndarray, stretches: Sequence[Spoken],
+        strength: float = STRENGTH, rounds: int = 1,
+    ):  # fmt: skip
+        self.network, self.mean, self.std, self.strength, self.rounds = network, mean, std, strength, rounds
+        self.stretches = sorted(stretches, key=lambda one: one.frames[1] - one.frames[0])
+
+    def __call__(self, x0: np.ndarray, step: int) -> np.ndarray:
+        """x0 (F, D) in network units, nearer to the sentences."""
+        guided = [stretch for stretch in self.stretches if LAST <= step < stretch.until]
+        if not guided:
+            return x0
+        out = x0.copy()
+        for start in range(0, len(guided), GROUP):
+            group = guided[start : start + GROUP]
+            for _ in range(self.rounds):
+                for stretch, way in zip(group, self.gradients(out, group), strict=True):
+                    size = max(float(np.sqrt((way * way).mean())), 1e-9)
+                    out[slice(*stretch.frames)] += np.float32(self.strength / size) * way
+        return out
+
+    def gradients(self, x0: np.ndarray, stretches: Sequence[Spoken]) -> list[np.ndarray]:
+        """The smoothed gradient of the cosine of each stretch with its sentence, without the root's, shape (N, D)."""
+        parts = [x0[slice(*stretch.frames)] for stretch in stretches]
+        lengths = np.array([len(part) for part in parts])
+        values = np.zeros((len(parts), int(lengths.max()), x0.shape[1]), np.float32)
+        for row, part in zip(values, parts, strict=True):
+            row[: len(part)] = part
+        goals = np.stack([stretch.vector for stretch in stretches])
+        gradient = self.network.cosine_gradient(values * self.std + self.mean, lengths, goals) * self.std
+        gradient[..., ROOT] = 0
+        if (lengths == lengths[0]).all():  # as the candidates of one sentence are
+            return list(gaussian(gradient.swapaxes(0, 1), SPREAD).swapaxes(0, 1))
+        return [gaussian(row[:length], SPREAD) for row, length in zip(gradient, lengths, strict=True)]
+
+
+@dataclass(frozen=True)
+class Critic:
+    """Guides the motions of a batch."""
+
+    network: Extractor  # trained with motions and sentences of people
+    vectors: Mapping[str, np.ndarray]  # of all their sentences, of length 1, shape (E,)
+    strength: float = STRENGTH  # root mean square of a step
+
+    def guidance(
+        self, model: Denoiser, scripts: Sequence[Sequence[str]], lengths: Sequence[Sequence[int]], sizes: Sequence[int],
+        guide: tuple[np.ndarray, np.ndarray, np.ndarray] | None, steps: int = FEW,
+    ) -> ClassifierGuidance:  # fmt: skip
+        """For motions one after the other on the time line: sentences of each, frames of each sentence, frames of each
+        motion, the guide as of `Steering`, and the steps of the sampler.
+        """
+        stretches: list[Spoken] = []
+        begin = 0
+        for script, frames, size in zip(scripts, lengths, sizes, strict=True):
+            first, end = begin, begin + size
+            for sentence, length in zip(script, frames, strict=True):
+                pieces = -(-length // LONGEST)
+                bounds = [first + round(length * piece / pieces) for piece in range(pieces + 1)]
+                for low, high in zip(bounds, bounds[1:], strict=False):
+                    if min(high, end) - low >= SHORTEST:  # as the ranker looks at it
+                        until = 1000
+                        if guide is not None:
+                            share, down_to = guide[1][low:high], guide[2][low:high]
+                            until = int(np.where(share >= 1, down_to, 1000).max())
+                        stretches.append(Spoken((low, min(high, end)), self.vectors[sentence], until))
+                first += length
+            begin = end
+        return ClassifierGuidance(
+            self.network, model.mean, model.std, stretches, self.strength, rounds=2 if steps < FEW else 1
+        )

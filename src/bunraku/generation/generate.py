@@ -21,9 +21,9 @@ from bunraku.language.parse import clauses_of
 from bunraku.language.sentence import Clause
 
 if TYPE_CHECKING:
+    from bunraku.generation.candidates import Candidate
     from bunraku.generation.denoiser import Denoiser
     from bunraku.generation.guide import GuidanceExample, GuidanceExamples
-    from bunraku.generation.ranking import Candidate
 
 _APART = 1_000_003  # between the noise of a motion's candidates, so that none is that of another motion of the batch
 
@@ -72,10 +72,10 @@ def generate_motions(
         return []
 
     from bunraku.core.nn.layers import one_thread
-    from bunraku.generation.classifier_guidance import Critic
+    from bunraku.generation.candidates import Critic
     from bunraku.generation.guide import GuidanceExamples
     from bunraku.generation.networks import Texts
-    from bunraku.generation.windows import drawn_noise
+    from bunraku.generation.sampler import drawn_noise
 
     if how.progress:
         how.progress("generate", 0.0)
@@ -121,7 +121,7 @@ def generate_motions(
 
     rows = list(range(len(scripts)))
     if how.candidates > 1:
-        from bunraku.generation.ranking import choose, script_scores
+        from bunraku.generation.candidates import choose, script_scores
 
         def score(drawn: Sequence[Candidate]) -> np.ndarray:
             with one_thread():
@@ -306,8 +306,7 @@ def _generate(
     z = 0 facing +Z.
     """
     from bunraku.core.nn.layers import one_thread
-    from bunraku.generation.sampler import Steering
-    from bunraku.generation.windows import plan_windows, sample_plans
+    from bunraku.generation.sampler import Steering, plan_windows, sample_plans
 
     if how.progress:
         how.progress("generate", 0.0)

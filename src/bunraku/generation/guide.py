@@ -10,13 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bunraku.core.geometry.curves import smooth_step
-from bunraku.generation.composition import overlaid, unturned
+from bunraku.generation.composition import END, held, join_point, on_one_leg, overlaid, played, rests, splice, unturned
 from bunraku.generation.features import FEATURE_SIZE, FeatureStatistics, decode, encode, feature_weights, mirror
 from bunraku.generation.pack import FPS, ExamplePack
 from bunraku.generation.retrieve import MOST_TIMES, Found, retrieve
-from bunraku.generation.splicing import END, held, join_point, on_one_leg, played, rests, splice
-from bunraku.generation.track import Track
-from bunraku.generation.verifier import onset
+from bunraku.generation.verifier import Track, onset
 from bunraku.gestures.catalogue import STANDING, at_part
 from bunraku.gestures.interactions import interaction_gesture
 from bunraku.gestures.limb_gesture import in_stance, limb_gesture

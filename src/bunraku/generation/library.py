@@ -200,8 +200,8 @@ def features_of(stretch: str, seconds: float | None = None, loop: bool = False) 
         OptionError: It cannot last so long.
         WeightsError: The examples are missing or broken.
     """
+    from bunraku.generation.composition import held, played
     from bunraku.generation.pack import FPS, load_examples
-    from bunraku.generation.splicing import held, played
 
     SECONDS.check(seconds, "seconds")
     pack = load_examples()
@@ -224,7 +224,7 @@ def features_of(stretch: str, seconds: float | None = None, loop: bool = False) 
 
 def _rounds(values: np.ndarray, loop: tuple[int, int], frames: int) -> np.ndarray:
     """As many whole rounds of a loop as come nearest to this many frames: all that are repeated are alike."""
-    from bunraku.generation.splicing import played
+    from bunraku.generation.composition import played
 
     start, length = loop[0], loop[0] - loop[1]
     count = max(round(frames / length), 1)

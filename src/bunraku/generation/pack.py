@@ -74,11 +74,6 @@ class Example:
         return self.name.startswith(MADE)
 
     @property
-    def action(self) -> str:
-        """The action of a gesture, by its name, so that its sentences need not be read; "" where that says none."""
-        return self.name.removeprefix(MADE).rpartition("_")[0].replace("_", " ") if self.made else ""
-
-    @property
     def idle(self) -> bool:
         """Whether it is of a person who stands, shifts the weight and breathes."""
         return self.name.endswith(IDLE)
@@ -91,7 +86,7 @@ class Example:
     @property
     def stands(self) -> bool:
         """Whether gestures are made by the person in it."""
-        return self.idle or self.busy
+        return self.name.endswith((IDLE, BUSY))
 
 
 class Said(NamedTuple):
@@ -142,9 +137,19 @@ class ExamplePack:
         return np.array([example.name.startswith(MADE) for example in self.examples], bool)
 
     @functools.cached_property
+    def actions(self) -> tuple[str, ...]:
+        """The actions of gestures by their names, so that their sentences need not be read; "" where a name says none,
+        and for captured examples.
+        """
+        return tuple([
+            name.removeprefix(MADE).rpartition("_")[0].replace("_", " ") if name.startswith(MADE) else ""
+            for name in [example.name for example in self.examples]
+        ])  # fmt: skip
+
+    @functools.cached_property
     def handled(self) -> tuple[int, ...]:
         """The gesture that stands for all that is done with things; none in a pack without it."""
-        return tuple(index for index, example in enumerate(self.examples) if example.action == "handle")
+        return tuple([index for index, action in enumerate(self.actions) if action == "handle"])
 
     @functools.cached_property
     def standing_poses(self) -> dict[int, np.ndarray]:
@@ -176,9 +181,10 @@ class ExamplePack:
     def _standing_well(self) -> Sequence[int]:
         return stand_well(self) if self.stand is None else self.stand
 
-    def said(self, index: int) -> Said:
-        """What the sentences of an example say."""
-        return said_by(self.examples[index].texts) if self.readings is None else self.readings[index]
+    @functools.cached_property
+    def said(self) -> Sequence[Said]:
+        """What the sentences of each example say."""
+        return [said_by(example.texts) for example in self.examples] if self.readings is None else self.readings
 
     def nearness(self, vector: np.ndarray, mirrored: bool) -> tuple[np.ndarray, np.ndarray]:
         """The cosines (E,) of the ranker's unit vector (V,) of a sentence with the nearest sentence of each example,
@@ -204,8 +210,8 @@ def stand_well(pack: ExamplePack) -> list[int]:
     """Usable ones of those without a sentence: others are joined to one of a person who stands on both legs, and
     gestures are made by a person who stands well.
     """
-    from bunraku.generation.splicing import on_one_leg
-    from bunraku.gestures.standing import stands_well
+    from bunraku.generation.composition import on_one_leg
+    from bunraku.gestures.play import stands_well
 
     wordless = [index for index, example in enumerate(pack.examples) if not example.texts]
     others = [index for index in wordless if not pack.examples[index].stands]

@@ -17,6 +17,7 @@ import numpy as np
 
 from bunraku.core.geometry.rotations import matrix_y
 from bunraku.errors import FormatError
+from bunraku.gestures.play import SIDES
 from bunraku.gestures.pose import (
     HANGING,
     STEP,
@@ -33,7 +34,6 @@ from bunraku.gestures.pose import (
     through,
     vector,
 )
-from bunraku.gestures.standing import SIDES
 
 FILE = Path(__file__).with_name("gestures.toml")
 _SECTION = re.compile(r"^(?=\[)", re.MULTILINE)

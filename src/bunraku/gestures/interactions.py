@@ -16,6 +16,7 @@ import numpy as np
 
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.gestures.catalogue import gesture_row, hand_row, place_pose, read_places, things_file
+from bunraku.gestures.play import SIDES
 from bunraku.gestures.pose import (
     HANGING,
     STEP,
@@ -30,7 +31,6 @@ from bunraku.gestures.pose import (
     repeated_gesture,
     vector,
 )
-from bunraku.gestures.standing import SIDES
 from bunraku.language.interactions import Contact, Gaze, Handling, Interaction, Terrain
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from bunraku.gestures.limb_poses import ARM, LOW, hand_of, low_place, postures, with_legs
-from bunraku.gestures.play import Tracks, posed
+from bunraku.gestures.play import AT, SIDES, Tracks, posed, still
 from bunraku.gestures.pose import (
     HANGING,
     STEP,
@@ -27,7 +27,6 @@ from bunraku.gestures.pose import (
     repeated_gesture,
     through,
 )
-from bunraku.gestures.standing import AT, SIDES, still
 from bunraku.language.limb_phrases import Target
 from bunraku.language.posing import Posing, Stance, Step
 

@@ -16,8 +16,8 @@ import numpy as np
 
 from bunraku.core.body.reference import reference_body
 from bunraku.gestures.catalogue import pose_row, read_parts
+from bunraku.gestures.play import AT, SIDES
 from bunraku.gestures.pose import Foot, Hand, Pose, foot_on, vector
-from bunraku.gestures.standing import AT, SIDES
 from bunraku.language.limb_phrases import Target
 from bunraku.language.posing import Stance
 

@@ -9,9 +9,8 @@ import numpy as np
 
 from bunraku.core.geometry.rotations import matrix_y
 from bunraku.core.motion import SkeletalMotion
-from bunraku.gestures.play import FPS, HandTrack, Tracks, posed
+from bunraku.gestures.play import AT, FPS, SIDES, HandTrack, Standing, Tracks, captured, mirrored, posed, swaying
 from bunraku.gestures.pose import HANGING, Gesture, Key, Pose, moved
-from bunraku.gestures.standing import AT, SIDES, Standing, captured, mirrored, swaying
 from bunraku.language.posing import AS_USUAL, Manner
 
 FOLLOWS = {

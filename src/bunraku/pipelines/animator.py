@@ -30,8 +30,15 @@ from bunraku.errors import CharacterError, FormatError, OptionError
 from bunraku.generation.candidates import SamplingSettings
 from bunraku.generation.networks import Networks
 from bunraku.language.sentence import Sentence, in_stretches
-from bunraku.pipelines.apply import GENERATED_STAGES, apply_motion, apply_rigged, reference_of, reference_path
-from bunraku.pipelines.bodies import adapt_to_body, apply_locomotion
+from bunraku.pipelines.apply import (
+    GENERATED_STAGES,
+    adapt_to_body,
+    apply_locomotion,
+    apply_motion,
+    apply_rigged,
+    reference_of,
+    reference_path,
+)
 from bunraku.pipelines.requests import RATE, Apparel, Constraints, InPlace, Loop, Request, check_handles
 from bunraku.retarget.stages import Stages
 

@@ -35,7 +35,7 @@ from bunraku.core.character import Character
 from bunraku.core.nn.checkpoints import dated_checkpoint
 from bunraku.core.request import Progress
 from bunraku.errors import CharacterError
-from bunraku.pipelines.bodies import LEAST
+from bunraku.pipelines.apply import LEAST
 from bunraku.pipelines.clothes import (
     body_of_handles,
     excess_apparel_note,

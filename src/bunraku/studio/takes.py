@@ -17,10 +17,10 @@ from bunraku.core.motion import HandleMotion, resample
 from bunraku.core.request import Progress
 from bunraku.core.travel import placed_at
 from bunraku.errors import OptionError
+from bunraku.generation.composition import splice
 from bunraku.generation.features import decode, encode, mirror
 from bunraku.generation.library import clip as find_clip
 from bunraku.generation.library import features_of
-from bunraku.generation.splicing import splice
 from bunraku.pipelines.animate import edited
 from bunraku.pipelines.animator import Animator, Body, own_rig
 from bunraku.pipelines.apply import GENERATED_STAGES, apply_motion, reference_of

@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 
-from bunraku.generation.track import SIDES, Track, smooth
+from bunraku.generation.verifier import SIDES, Track, smooth
 from bunraku_lab.description.phrases import Phrase, runs
 
 

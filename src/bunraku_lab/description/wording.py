@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from bunraku.core.motion import HandleMotion
-from bunraku.generation.track import Track
+from bunraku.generation.verifier import Track
 from bunraku.language.captions import conjugate, mirror_words
 from bunraku_lab.description.captions import (
     caption_clauses,

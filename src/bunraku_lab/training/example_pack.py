@@ -35,10 +35,9 @@ from bunraku.generation.pack import (
     read_pack,
     write_pack,
 )
-from bunraku.generation.track import SIDES, Track
+from bunraku.generation.verifier import SIDES, Track
 from bunraku.gestures.catalogue import STANDING, gestures
-from bunraku.gestures.play import gesture_motion
-from bunraku.gestures.standing import stands_well
+from bunraku.gestures.play import gesture_motion, stands_well
 from bunraku.language.captions import mirror_words
 from bunraku.language.encoders import TextEncoder, text_encoder
 from bunraku.language.lexicon import main_actions

@@ -8,7 +8,7 @@ import pytest
 from moving_people import FPS, kick, person, ramp
 
 from bunraku.generation.features import decode, encode, mirror
-from bunraku.generation.track import Track
+from bunraku.generation.verifier import Track
 from bunraku.language.captions import conjugate, mirror_words
 from bunraku_lab.datasets.motions.clips import load_clip, load_index
 from bunraku_lab.description.events import find_punches, find_seats

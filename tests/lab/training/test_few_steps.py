@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from bunraku.errors import OptionError
-from bunraku.generation.classifier_guidance import ClassifierGuidance, Spoken
+from bunraku.generation.candidates import ClassifierGuidance, Spoken
 from bunraku.generation.denoiser import load_denoiser, load_denoiser_of_few_steps, load_few_steps
 from bunraku.generation.extractor import RADIUS, ExtractorConfig
 from bunraku.generation.features import FeatureStatistics

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from bunraku.core.skinning import part_means, register
 from bunraku.generation.features import FEATURE_SIZE, ROOT_SIZE, decode
-from bunraku.generation.track import Track
+from bunraku.generation.verifier import Track
 from bunraku_lab.training.losses import handles as losses
 from bunraku_lab.training.losses.handles import register_torch
 from bunraku_lab.training.losses.motion import UNIT, contact_loss, foot_points, motion_losses

@@ -477,7 +477,8 @@ def _hills(mesh: NetworkMesh, graph: csr_matrix, distance: np.ndarray, inside: n
                 hill = _Hill(hill.tip, hill.area, hill.members, over=True)
             others = [hills[label] for label in met if hills[label].members is not hill.members]
             area = sum(one.area for one in others) + area
-            hill.members.extend(member for one in others for member in one.members)
+            for lower in others:
+                hill.members += lower.members
         else:
             hill = hills[met[0]] if met else _Hill(level, 0.0, [])
         hill.area += area

@@ -59,7 +59,8 @@ def read_tensors(path: Path, kind: str, framework: str = "np") -> tuple[dict[str
     with _opened(path, kind, framework) as (file, config):
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a dict
         for name in json.loads((file.metadata() or {}).get(_PLANES, "[]")):
-            tensors[name] = halves_of(tensors[name])
+            low, high = tensors[name]
+            tensors[name] = (low | high.astype("<u2") << np.uint16(8)).view("<f2")
         return tensors, config
 
 

@@ -177,8 +177,10 @@ class PostNorm(NamedTuple):
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """Shape (B, T, d) -> (B, T, d)."""
-        parts = (split_heads(enter(x), self.heads)[0] for enter in (self.query, self.key, self.value))
-        x = self.norm_a(x + self.leave(attended(*parts)))
+        shape = (*x.shape[:2], self.heads, -1)
+        query, key, value = self.query(x).reshape(shape), self.key(x).reshape(shape), self.value(x).reshape(shape)
+        heads = query.transpose(0, 2, 1, 3), key.transpose(0, 2, 1, 3), value.transpose(0, 2, 1, 3)
+        x = self.norm_a(x + self.leave(attended(*heads)))
         return self.norm_b(x + self.narrow(gelu(self.wide(x))))
 
 
@@ -202,13 +204,14 @@ def normed(x: np.ndarray, norm: Norm | None = None) -> np.ndarray:
     return np.asarray(out)
 
 
-def _below(x: np.ndarray, out: np.ndarray, times: bool) -> None:
-    """The share of a normal distribution below each number of a flat array, or with `times` the number times it, piece
-    by piece; `out` may be `x`.
+def gelu(x: np.ndarray, share: bool = False) -> np.ndarray:
+    """x times the share of a normal distribution below x (Hendrycks & Gimpel 2016), to 1e-6, or that `share` alone;
+    writes on a contiguous array.
     """
-    room = np.empty((2, min(x.size, _PIECE)), np.float32)
-    for start in range(0, x.size, _PIECE):
-        part = x[start : start + _PIECE]
+    flat = x.reshape(-1)
+    room = np.empty((2, min(flat.size, _PIECE)), np.float32)
+    for start in range(0, flat.size, _PIECE):
+        part = flat[start : start + _PIECE]
         square, value = room[:, : part.size]
         np.multiply(part, part, out=square)
         np.multiply(square, _GELU[0], out=value)
@@ -218,28 +221,19 @@ def _below(x: np.ndarray, out: np.ndarray, times: bool) -> None:
         value += _GELU[-1]
         value *= part
         np.tanh(value, out=value)
-        if times:
+        if share:
+            value *= np.float32(0.5)
+            np.add(value, np.float32(0.5), out=part)
+        else:
             np.multiply(part, np.float32(0.5), out=square)
             value *= square
-            np.add(value, square, out=out[start : start + _PIECE])
-        else:
-            value *= np.float32(0.5)
-            np.add(value, np.float32(0.5), out=out[start : start + _PIECE])
-
-
-def gelu(x: np.ndarray) -> np.ndarray:
-    """x times the share of a normal distribution below x (Hendrycks & Gimpel 2016), to 1e-6; writes on a contiguous
-    array.
-    """
-    flat = x.reshape(-1)
-    _below(flat, flat, True)
+            np.add(value, square, out=part)
     return flat.reshape(x.shape)
 
 
 def gelu_slope(x: np.ndarray) -> np.ndarray:
     """The derivative of `gelu`."""
-    out = np.empty(x.shape, np.float32)
-    _below(x.reshape(-1), out.reshape(-1), False)
+    out = gelu(x.copy(), share=True)
     out += x * np.exp(np.float32(-0.5) * x * x) * np.float32(1 / np.sqrt(2 * np.pi))
     return out
 

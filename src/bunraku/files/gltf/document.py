@@ -111,7 +111,7 @@ class Document:
     def objects(self, owner: dict[str, object], key: str) -> list[dict[str, Any]]:
         """A list of objects under a key of an object."""
         value = owner.get(key, [])
-        if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
+        if not isinstance(value, list) or not set(map(type, value)) <= {dict}:
             self.broken(f"'{key}' must be a list of objects")
         return value
 
@@ -146,7 +146,7 @@ class Document:
     def numbers(self, owner: dict[str, object], key: str, default: list[float]) -> np.ndarray:
         """A list of finite numbers under a key of an object, as long as the default, float64."""
         value = owner.get(key, default)
-        good = isinstance(value, list) and len(value) == len(default) and all(type(x) in (int, float) for x in value)
+        good = isinstance(value, list) and len(value) == len(default) and set(map(type, value)) <= {int, float}
         out = np.array(value, float) if good else np.array([np.nan])
         if not np.isfinite(out).all():
             self.broken(f"'{key}' must be {len(default)} finite numbers")
@@ -261,7 +261,8 @@ class GltfBuilder:
         for key in ("accessors", "bufferViews", "buffers"):
             tree.pop(key, None)
 
-    def _append(self, key: str, entry: dict[str, object]) -> int:
+    def add(self, key: str, entry: dict[str, object]) -> int:
+        """Add an entry to a top-level list and return its index."""
         entries: list[dict[str, object]] = self.tree.setdefault(key, [])
         entries.append(entry)
         return len(entries) - 1
@@ -276,7 +277,7 @@ class GltfBuilder:
         padding = -len(data) % 4
         self._chunks += [data, bytes(padding)] if padding else [data]
         self.length += len(data) + padding
-        return self._append("bufferViews", entry)
+        return self.add("bufferViews", entry)
 
     def array(self, values: np.ndarray, target: int | None = None, bounds: bool = False, **extra: object) -> int:
         """Add an array of shape (count, components) as an accessor and return its index.
@@ -298,7 +299,7 @@ class GltfBuilder:
             padded[:, :width] = values.view(np.uint8).reshape(count, width)
             values, stride = padded, padded.shape[1]
         entry["bufferView"] = self.view(values.reshape(-1).view(np.uint8).data, target, stride)
-        return self._append("accessors", entry)
+        return self.add("accessors", entry)
 
     def later(self, count: int, size: int, make: Callable[[int], bytes]) -> int:
         """Add an accessor of `count` vectors of 32-bit floats, whose bytes `make(count)` gives when the document is
@@ -308,22 +309,16 @@ class GltfBuilder:
         entry: dict[str, object] = {"buffer": 0, "byteOffset": self.length, "byteLength": length}
         self._chunks.append(lambda: make(count))
         self.length += length
-        view = self._append("bufferViews", entry)
-        return self._append(
-            "accessors", {"componentType": 5126, "count": count, "type": _KINDS[size], "bufferView": view}
-        )
+        view = self.add("bufferViews", entry)
+        return self.add("accessors", {"componentType": 5126, "count": count, "type": _KINDS[size], "bufferView": view})
 
     def zeros(self, accessor: dict[str, object]) -> int:
         """Add an accessor that has no data behind it and return its index."""
-        return self._append("accessors", accessor)
+        return self.add("accessors", accessor)
 
     def image(self, data: bytes | memoryview, mime: str, **extra: object) -> int:
         """Add an embedded image and return its index."""
-        return self._append("images", {**extra, "mimeType": mime, "bufferView": self.view(data)})
-
-    def add(self, key: str, entry: dict[str, object]) -> int:
-        """Add an entry to a top-level list and return its index."""
-        return self._append(key, entry)
+        return self.add("images", {**extra, "mimeType": mime, "bufferView": self.view(data)})
 
     @staticmethod
     def channel(clip: dict[str, Any], node: int, path: str, times: int, values: int) -> None:
@@ -346,7 +341,7 @@ class GltfBuilder:
                 once = self.array(times[:1, None], bounds=True)
             clock = once if len(keys) < len(times) and once is not None else every
             self.channel(clip, node, path, clock, self.array(keys))
-        self._append("animations", clip)
+        self.add("animations", clip)
 
     def document(self, path: Path) -> Document:
         """The document as one in memory."""

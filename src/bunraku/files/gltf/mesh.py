@@ -129,7 +129,7 @@ def primitive_groups(document: Document, mesh: int) -> Iterator[tuple[tuple[int,
 def _shared(attributes: dict[str, object], targets: object) -> tuple[str, ...]:
     """What primitives of a mesh that share their vertices have in common."""
     names = ("POSITION", "JOINTS_0", "WEIGHTS_0", "JOINTS_1", "WEIGHTS_1")
-    return *(repr(attributes.get(name)) for name in names), repr(targets)
+    return *map(repr, map(attributes.get, names)), repr(targets)
 
 
 def primitive_triangles(document: Document, primitive: dict[str, object], count: int) -> np.ndarray:

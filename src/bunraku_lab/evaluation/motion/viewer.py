@@ -14,7 +14,7 @@ from bunraku.core.geometry.rotations import heading
 from bunraku.core.geometry.surface import part_extremes
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin
-from bunraku.generation.track import SIDES, Track
+from bunraku.generation.verifier import SIDES, Track
 from bunraku_lab.description.phrases import runs
 from bunraku_lab.evaluation.motion.metrics import posed_positions
 

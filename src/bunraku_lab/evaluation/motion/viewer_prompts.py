@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from bunraku.core.motion import HandleMotion
-from bunraku.generation.track import SIDES
+from bunraku.generation.verifier import SIDES
 from bunraku.language.lexicon import main_actions
 from bunraku_lab.datasets.motions.clips import load_clip, load_index
 from bunraku_lab.evaluation.motion import viewer
@@ -258,7 +258,7 @@ def _ground(make: Make, seeds: int) -> dict[str, Any]:
 def _minute(make: Make, config: MotionEvalConfig, seeds: int) -> dict[str, Any]:
     """Walks of a minute: the largest change of heading, and the largest jump at a seam, of all seeds."""
     from bunraku.generation.networks import Networks
-    from bunraku.generation.windows import plan_windows
+    from bunraku.generation.sampler import plan_windows
 
     model = Networks(config.checkpoint).denoiser
     motions = make([(WALK, 60.0)] * seeds)

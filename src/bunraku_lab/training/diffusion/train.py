@@ -15,10 +15,10 @@ import torch
 from bunraku.core.files import atomic_write, remove_leftovers
 from bunraku.core.nn.checkpoints import shipped_checkpoint
 from bunraku.errors import OptionError, WeightsError
-from bunraku.generation.attended import example_bank
 from bunraku.generation.denoiser import EXAMPLE_TOKENS, PRESETS, DenoiserConfig
 from bunraku.generation.features import FeatureStatistics
 from bunraku.generation.pack import ExamplePack, load_examples, read_pack
+from bunraku.generation.retrieve import example_bank
 from bunraku.language.encoders import MiniLMEncoder, TextEncoder, text_encoder
 from bunraku_lab.datasets.motions.clips import credit_lines, read_bundle
 from bunraku_lab.nn.checkpoints import load_training_state

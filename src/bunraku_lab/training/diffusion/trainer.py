@@ -14,9 +14,9 @@ import torch
 from torch import Tensor
 
 from bunraku.errors import OptionError
-from bunraku.generation.attended import ExampleBank, take_of
 from bunraku.generation.denoiser import TRAINING_STEPS, DenoiserConfig, denoiser_config
 from bunraku.generation.features import FeatureStatistics, feature_weights
+from bunraku.generation.retrieve import ExampleBank, take_of
 from bunraku_lab.nn.checkpoints import TrainingState, load_training_state, save_training_state
 from bunraku_lab.nn.denoiser import Denoiser, RetrievedExamples, add_noise, alphas_cumprod, save_denoiser
 from bunraku_lab.nn.text import TextBatch

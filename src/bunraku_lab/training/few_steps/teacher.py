@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from bunraku.core.geometry.curves import CUT
-from bunraku.generation.classifier_guidance import LAST, SPREAD, STRENGTH
+from bunraku.generation.candidates import LAST, SPREAD, STRENGTH
 from bunraku.generation.extractor import RADIUS, SHORTEST
 from bunraku.generation.sampler import GUIDED_FROM, ROOT, alphas_cumprod, dpm_solver, sampling_steps, token_share
 from bunraku_lab.nn.denoiser import Denoiser, RetrievedExamples

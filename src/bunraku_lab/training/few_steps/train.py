@@ -15,11 +15,11 @@ from torch.nn.utils import parametrize
 from bunraku.core.files import weights_file
 from bunraku.core.nn.checkpoints import load_checkpoint, save_checkpoint, shipped_checkpoint
 from bunraku.errors import OptionError
-from bunraku.generation.attended import example_bank
 from bunraku.generation.denoiser import FEW_STEPS_KIND, fingerprint
 from bunraku.generation.extractor import RANKER
 from bunraku.generation.features import FeatureStatistics, feature_weights
 from bunraku.generation.pack import load_examples
+from bunraku.generation.retrieve import example_bank
 from bunraku.language.encoders import CuedEncoder, TextEncoder, text_encoder
 from bunraku_lab.nn.checkpoints import TrainingState
 from bunraku_lab.nn.denoiser import Denoiser, load_denoiser

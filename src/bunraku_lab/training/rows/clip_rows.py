@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bunraku.core.motion import HandleMotion
+from bunraku.generation.composition import join_point, on_one_leg, splice
 from bunraku.generation.features import FeatureStatistics, decode, feature_weights, mirror
-from bunraku.generation.splicing import join_point, on_one_leg, splice
-from bunraku.generation.track import Track
+from bunraku.generation.verifier import Track
 from bunraku.language.captions import conjugate, mirror_words
 from bunraku_lab.description.captions import caption_group, is_stative
 from bunraku_lab.description.events import find_punches, find_seats

@@ -15,9 +15,9 @@ import numpy as np
 
 from bunraku.core.motion import HandleMotion
 from bunraku.errors import FormatError, OptionError
+from bunraku.generation.composition import END, held, join_point, played, rests
 from bunraku.generation.features import FEATURE_SIZE, HANDLE_SIZE, ROOT_SIZE, FeatureStatistics, encode, feature_weights
 from bunraku.generation.pack import ExamplePack
-from bunraku.generation.splicing import END, held, join_point, played, rests
 from bunraku.language.captions import mirror_words
 from bunraku.language.lexicon import is_cyclic, lexicon, main_actions
 from bunraku_lab.datasets.motions.clips import load_clip, load_index, read_bundle

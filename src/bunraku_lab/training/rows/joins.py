@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from bunraku.generation.composition import join_point, played, splice
 from bunraku.generation.features import feature_weights
-from bunraku.generation.splicing import join_point, played, splice
 
 FEWEST = 24  # fewest frames of a stretch of standing
 TRIED = 20

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bunraku.generation.attended import ExampleBank, take_of
+from bunraku.generation.retrieve import ExampleBank, take_of
 from bunraku.language.encoders import TEXT_LENGTH
 from bunraku_lab.nn.denoiser import RetrievedExamples
 from bunraku_lab.nn.text import TextBatch
