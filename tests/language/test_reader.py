@@ -13,7 +13,7 @@ from bunraku.language.encoders import MiniLMEncoder
 from bunraku.language.lexicon import lexicon
 from bunraku.language.parse import parse
 from bunraku.language.prompts import plain_words
-from bunraku.language.reader import KIND, Reader, dequantised, frames_of, load_reader
+from bunraku.language.reader import KIND, Reader, dequantised, load_reader
 
 ACTIONS = ("walk", "jump", "wave")
 
@@ -80,8 +80,3 @@ def test_nothing_is_dropped_without_a_word(prompt: str, actions: tuple[str, ...]
     sentence = parse(prompt)
     single = [part for clause in sentence.clauses for part in clause.parts or (clause,)]
     assert tuple(frame.action for clause in single for frame in clause.frames) == actions
-
-
-def test_what_is_not_known_is_said() -> None:
-    (note,) = parse("a soldier reloads his rifle").notes
-    assert "reload rifle" in note and frames_of("a soldier reloads his rifle")[0].shown in note

@@ -359,6 +359,7 @@ class GuidanceExamples:
         retrieved = {text: retrieve(pack, *result) for text, result in clauses.items()}
         self._found = {text: result.found for text, result in retrieved.items()}
         self._lacking = {text: result.lacking for text, result in retrieved.items()}
+        self._instead = {text: result.instead for text, result in retrieved.items()}
 
     def shows(self, clause: Clause) -> bool:
         """Whether there is an example for a clause."""
@@ -373,6 +374,10 @@ class GuidanceExamples:
     def lacking(self, clause: Clause) -> tuple[str, ...]:
         """What a clause says beyond an action whose gestures leave that out, so that none of them is used."""
         return self._lacking.get(clause.text, ())
+
+    def instead(self, clause: Clause) -> tuple[str, ...]:
+        """The actions by which a clause is shown whose own no example has; none otherwise."""
+        return self._instead.get(clause.text, ())
 
     def unseen(self, clause: Clause) -> tuple[str, str]:
         """A word for a clause's only action that no caption and no example has, and that action; "" and "" for none."""

@@ -90,7 +90,7 @@ class Example:
 
 
 class Said(NamedTuple):
-    """What the sentences of an example say, by the lexicon."""
+    """What an example shows: its actions by people who read its sentences, where it is shipped, else by the lexicon."""
 
     actions: frozenset[str]  # what they agree on (`main_actions`)
     # cues, traits: of all of them
@@ -294,14 +294,14 @@ def _stretch_values(data: bytes, frames: int) -> np.ndarray:
 
 def write_pack(path: str | Path, pack: ExamplePack, notes: Mapping[str, object]) -> Path:
     """Write examples with notes on their sources and choice, with those in which a person stands well, and with what
-    their sentences say, read anew.
+    they show.
     """
     from bunraku.core.nn.checkpoints import save_checkpoint
 
     table = [[example.name, list(example.texts), example.frames, list(example.loop or ())] for example in pack.examples]
     texts = np.rint(_STEPS * pack.texts).astype(np.int8)
     sided = np.flatnonzero((texts[0] != texts[1]).any(axis=1))  # most sentences are the same in the mirror
-    readings = [said_by(example.texts) for example in pack.examples]
+    readings = pack.said
     distinct = {said: number for number, said in enumerate(dict.fromkeys(readings))}
     tensors: dict[str, np.ndarray] = {
         "data": np.frombuffer(b"".join(pack.data), np.uint8),

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -92,15 +93,22 @@ class Retrieved(NamedTuple):
         found: Examples, the nearest first.
         lacking: What the sentence adds to its action that no gesture of that action has, where one would fit but for
             that.
+        instead: The actions that they show where none shows what is said, but what is like it; none otherwise.
     """
 
     found: list[Found]
     lacking: tuple[str, ...] = ()
+    instead: tuple[str, ...] = ()
 
 
 def retrieve(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> Retrieved:
-    """Examples that show what a clause says (`_offered`), without turns where it speaks of none."""
-    offered, straight = _offered(pack, clause, vector), not asks_to_turn(clause)
+    """Examples that show what a clause says (`_offered`), or where none does, what is nearest to it by the lexicon;
+    without turns where it speaks of none.
+    """
+    offered, straight, rows = _offered(pack, clause, vector), not asks_to_turn(clause), lexicon().actions
+    nearest = tuple(dict.fromkeys(rows[action].like or action for action in clause.actions))
+    if not offered.found and nearest != clause.actions:
+        offered = _offered(pack, replace(clause, actions=nearest), vector)._replace(instead=nearest)
     return offered._replace(found=[example._replace(straight=straight) for example in offered.found])
 
 

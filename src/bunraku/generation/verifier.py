@@ -14,7 +14,7 @@ from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.geometry.curves import gaussian, running_least
 from bunraku.core.geometry.rotations import heading, matrix_y
 from bunraku.core.motion import HandleMotion
-from bunraku.language.lexicon import goes_ahead, lexicon, stays_down
+from bunraku.language.lexicon import goes_ahead, lexicon, stays_down, turns
 from bunraku.language.posing import Posing
 from bunraku.language.sentence import Clause
 
@@ -113,8 +113,6 @@ _TURN, _SWAY = np.radians(45), np.radians(90)
 """How far a body may turn that is not told to, from the first frame to the last and to and fro. Chosen on 144 takes: no
 take then turned by more than 60 degrees, and the ranker's mean cosine fell by .01.
 """
-TURNS = frozenset(("turn", "turn around", "spin", "circle", "dance", "salsa", "ballet", "cartwheel", "roll", "flip"))
-"""Actions for which people turn, or are upside down, so that a heading says nothing."""
 _BEGUN = 0.7  # s until a motion has begun; of the same 144 takes, 1 % then began later than a second
 _LATE = 0.8  # s later, nothing of the claim is left; the same
 _LIVELY = 0.4  # m/s, mean speed of the body's points in a slow walk, from which on any motion has begun
@@ -177,7 +175,7 @@ def verify(clause: Clause, motion: HandleMotion, described: bool = True) -> Verd
 def asks_to_turn(clause: Clause) -> bool:
     """Whether a clause speaks of a turn, or of something that people turn for: a dance, a roll, going around."""
     spoken = clause.turn is not None or not clause.traits.isdisjoint(("winding", "turns"))
-    return spoken or not TURNS.isdisjoint(clause.actions)
+    return spoken or turns(clause.actions)
 
 
 def onset(track: Track) -> float:
@@ -263,7 +261,7 @@ def _way(clause: Clause, track: Track) -> float | None:
     if "forward" in clause.cues:
         return min(ahead / _WALK, _stays(track) if clause.locomotion in _ON_FOOT and clause.count is None else 1)
     on_foot = clause.locomotion in _ON_FOOT and "halts" not in clause.traits
-    in_place = bool(clause.actions) and not goes_ahead(clause.actions) and TURNS.isdisjoint(clause.actions)
+    in_place = bool(clause.actions) and not goes_ahead(clause.actions) and not turns(clause.actions)
     return _stays(track) if on_foot and not in_place else None
 
 
@@ -313,7 +311,8 @@ def _stays_down(clause: Clause, track: Track) -> float | None:
     if not clause.actions or not stays_down(clause.actions[-1]) or "gets up" in clause.traits or clause.moves:
         return None
     down = (-_ends(track)[1] - _SEAT) / _CLEAR
-    if clause.actions[-1] not in ("lie", "fall"):
+    last = lexicon().actions[clause.actions[-1]]
+    if not {clause.actions[-1], last.like} & {"lie", "fall"}:
         return down
     end = slice(-track.frames(0.3), None)
     raised = max(float(np.median(track.points[f"{side}_ankle"][end, 1])) for side in SIDES) - _FLAT

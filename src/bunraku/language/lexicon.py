@@ -29,9 +29,12 @@ class Action:
     alone: bool = False  # nothing else is done meanwhile but what is `turning`: turning, getting up
     turning: bool = False  # it goes together with a turn
     halts: bool = False  # a person who walks stops for it, if it is not said that both are done at once
+    turns: bool = False  # people turn in it, or are upside down, so that a heading says nothing
     ahead: bool = False  # it leads somewhere, so that "forward" says something of it
     down: bool = False  # the body is down at its end, if it is not said that it gets up
     vague: bool = False  # it is said only where nothing else is
+    like: str = ""  # the action that is shown in its place where no motion of it is known; "" for none
+    posture: str = ""  # in which it is done if nothing else is said, as the reader names it
     # it hardly disturbs in an example of something else: standing, a few steps, a thing in the hand
     passing: bool = False
 
@@ -374,6 +377,12 @@ def goes_ahead(actions: Iterable[str]) -> bool:
     """Whether any of some actions leads somewhere."""
     rows = lexicon().actions
     return any(action in rows and rows[action].ahead for action in actions)
+
+
+def turns(actions: Iterable[str]) -> bool:
+    """Whether in any of some actions people turn, or are upside down."""
+    rows = lexicon().actions
+    return any(action in rows and rows[action].turns for action in actions)
 
 
 def is_cyclic(action: str) -> bool:

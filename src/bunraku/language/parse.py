@@ -89,8 +89,6 @@ def _notes(clauses: Sequence[Clause], texts: Sequence[str], unknown: Sequence[ob
         for frame in frames:
             if not frame.shown:
                 yield f"'{frame.action}' is not known, and nothing like it"
-            elif frame.shown != frame.action:
-                yield f"'{frame.action}' is not known; shown by what is nearest: {frame.shown}"
         if not (frames or unknown or clause.detail or clause.locomotion):
             yield f"nothing known is named in '{clause.text}'; its motion is a guess"
     for text in texts if len(clauses) > 1 else ():
@@ -109,8 +107,10 @@ def _with_stances(clauses: Iterable[Clause]) -> Iterator[Clause]:
                 clause = replace(clause, detail=replace(detail, stance=stance))
             stance = (detail.stance or stance or Stance())._replace(goes=False)
         elif clause.actions:
-            down = next((_STANCES[action] for action in reversed(clause.actions) if action in _STANCES), "")
-            of_legs = any(lexicon().actions[action].part in ("", "legs") for action in clause.actions)
+            acts = [lexicon().actions[action] for action in clause.actions]
+            like = [name for action, row in zip(clause.actions, acts, strict=True) for name in (action, row.like)]
+            down = next((_STANCES[name] for name in reversed(like) if name in _STANCES), "")
+            of_legs = any(row.part in ("", "legs") for row in acts)
             if clause.stance is None:
                 if stance is not None and not down and not of_legs:
                     clause = replace(clause, stance=stance)
@@ -187,7 +187,7 @@ def _with_fields(cues: frozenset[str], frames: Sequence[Frame]) -> frozenset[str
 
 def _meanwhile(frame: Frame) -> str:
     """The stance in which something is done that is not the posture itself; "" where nothing is said of it."""
-    posture = frame.fields.get("posture", "")
+    posture = frame.fields.get("posture", "") or (lexicon().actions[frame.shown].posture if frame.shown else "")
     return {"sitting": "seat", "kneeling": "kneel", "lying": "back", "crouching": "squat"}.get(posture, "") * _stays(
         frame
     )
