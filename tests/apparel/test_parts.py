@@ -66,10 +66,17 @@ def test_a_staff_goes_as_a_whole_with_the_hand_that_holds_it():
     assert HANDLE_NAMES[int(weights[0].argmax())] in ("left_wrist", "left_fingers")
 
 
-def test_what_a_figure_stands_on_is_no_part_that_a_leg_carries():
-    beam, added = with_rods("ground", rod([-0.3, -0.9, 0.1], [0.3, -0.9, 0.1], 0.05))
+def test_a_figure_glides_with_the_base_that_it_stands_on():
+    """The base goes with the root, the legs on it do not bend, and the arms are those of the figure without a base."""
+    beam, added = with_rods("ground", rod([-0.3, -1, 0.1], [0.3, -1, 0.1], 0.12))
     parts = parts_of(beam)
-    assert {parts.kinds[number] for number in parts.number[added]} == {"ground"} and not parts.left_out.any()
+    assert {parts.kinds[number] for number in parts.number[added]} == {"ground"}
+    weights = handles_of_body(beam, predict_handles).weights
+    assert (weights[added, 0] == 1).all()
+    assert weights[:, [name.endswith(("hip", "knee", "ankle", "foot")) for name in HANDLE_NAMES]].max() == 0
+    alone = predict_handles(reference_body().character()).weights
+    arm = HANDLE_NAMES.index("left_elbow")
+    np.testing.assert_allclose(weights[~added, arm], alone[:, arm], atol=0.02)
 
 
 def test_a_part_has_the_kind_that_it_is_given_also_from_the_file_beside(tmp_path):

@@ -146,6 +146,39 @@ def test_broken_weights_are_mended(load):
         assert dense[v].tolist() in dense[near].tolist()
 
 
+@pytest.mark.parametrize("moved", [False, True])
+def test_what_only_an_idle_joint_holds_goes_with_what_is_nearest(load, moved):
+    """Blender binds vertices without weights to a joint of its own; one that a clip moves is a joint like others."""
+    maker = Maker()
+    weights = np.eye(1, 4, dtype=np.float32).repeat(8, axis=0)
+    rows = [(CUBE, 1), (CUBE + np.float32([0, 6, 0]), 0), (0.1 * CUBE + np.float32([0, 4.5, 0]), 2)]
+    primitives = [
+        maker.cube(
+            attributes={
+                "POSITION": maker.add(points),
+                "JOINTS_0": maker.add(np.full((8, 4), joint, np.uint8)),
+                "WEIGHTS_0": maker.add(weights),
+            }
+        )
+        for points, joint in rows
+    ]
+    times, path = maker.add(np.float32([[0], [1]]), bounds=True), maker.add(np.zeros((2, 3), np.float32))
+    clip = {
+        "channels": [{"sampler": 0, "target": {"node": 3 if moved else 1, "path": "translation"}}],
+        "samplers": [{"input": times, "output": path}],
+    }
+    thing = load(
+        maker.glb(
+            nodes=[{"mesh": 0, "skin": 0}, {"children": [2]}, {}, {}],
+            scenes=[{"nodes": [0, 1, 3]}],
+            meshes=[{"primitives": primitives}],
+            skins=[{"joints": [1, 2, 3]}],
+            animations=[clip],
+        )
+    )
+    assert thing.rig.dense_weights()[-8:].tolist() == [[0, 0, 1] if moved else [1, 0, 0]] * 8
+
+
 def test_eight_influences(load):
     maker = Maker()
     quarter = np.full((8, 4), 32, np.uint8)

@@ -5,10 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 import bunraku
 from bunraku import CharacterError, SkeletalMotion
 from bunraku.anatomy.anatomy import Anatomy
+from bunraku.anatomy.legs import legs_of_rig
 from bunraku.anatomy.names.bone_names import rig_handles
 from bunraku.core.animation import RigAnimation
 from bunraku.core.body.layout import HANDLE_NAMES, JOINT_NAMES
@@ -24,10 +26,11 @@ from bunraku.files.gltf.nodes import read_nodes, read_skins
 from bunraku.files.gltf.open import open_document
 from bunraku.files.gltf.read import character_from_document
 from bunraku.generation.features import body_handle_motion
+from bunraku.generation.library import all_clips
 from bunraku.pipelines.requests import Request, Sampling
 from bunraku.retarget.engine_skeleton import carried, on_skeleton
-from bunraku.retarget.fit import Stages
-from bunraku.retarget.rig_parts import RigParts, is_humanoid_rig
+from bunraku.retarget.fit import Stages, fit_motion
+from bunraku.retarget.rig_parts import RigParts, is_humanoid_rig, understood_rig
 from bunraku.retarget.to_reference import handle_animation, rig_to_reference
 from bunraku.retarget.to_rig import copied_bones, fit_rig
 from bunraku_lab.synthetic.samples import make_sample
@@ -373,3 +376,50 @@ def test_bones_are_known_by_the_skin_that_they_hold(hard):
     assert np.quantile(away, 0.9) < (0.12 if hard else 0.06) * dog.height < 0.2 < np.ptp(wanted[:, :, 2], axis=0).min()
     alone = replace(nameless.rig, indices=np.zeros((len(dog.vertices), 1)), weights=np.ones((len(dog.vertices), 1)))
     assert RigParts.by_skin(replace(body, character=replace(dog, rig=alone))) is None
+
+
+def spider(legs=4) -> Character:
+    """A ball and legs of two bones on each side, on a skeleton without names: bones are boxes of one bone each."""
+    heads, parents, ends = [np.array([0.0, 0.3, 0])], [-1], [np.array([0.0, 0.3, 0.1])]
+    for side in (-1, 1):
+        for number in range(legs):
+            away = np.array([side, 0, 1.2 * number / (legs - 1) - 0.6])
+            line = [[0, 0.3, 0] + 0.1 * away, [0, 0.6, 0] + 0.5 * away, [0, 0, 0] + away]
+            for part in range(2):
+                parents.append(0 if part == 0 else len(heads) - 1)
+                heads.append(line[part])
+                ends.append(line[part + 1])
+            parents.append(len(heads) - 1)
+            heads.append(line[2])
+            ends.append(None)
+    vertices, faces, bones = [], [], []
+    for bone, (head, end) in enumerate(zip(heads, ends, strict=True)):
+        if end is None:
+            continue
+        piece = trimesh.creation.cylinder(0.1 if bone == 0 else 0.03, segment=[head, end], sections=8)
+        piece = piece.subdivide().subdivide()
+        faces.append(piece.faces + sum(map(len, vertices)))
+        vertices.append(piece.vertices)
+        bones.append(np.full(len(piece.vertices), bone))
+    transforms = np.tile(np.eye(4), (len(heads), 1, 1))
+    transforms[:, :3, 3] = heads
+    held = np.concatenate(bones)[:, None]
+    names = tuple(f"b{number}" for number in range(len(heads)))
+    rig = Rig(names, np.array(parents), transforms, held, np.ones(held.shape))
+    return Character("spider", np.concatenate(vertices), np.concatenate(faces), rig)
+
+
+def test_many_legs_are_known_by_the_tree_of_their_bones():
+    parts = understood_rig(spider())
+    assert parts is not None and parts.anatomy.plan.legs == 8 and not parts.anatomy.upright
+    legs = parts.parts[1:].reshape(8, 3)
+    assert len(set(legs[:, 0])) == 8 and len(set(legs[:, :2].ravel())) == 16  # each has handles of its own
+    assert legs_of_rig(spider(2)) is None and legs_of_rig(make_sample("dog", rigged=True)) is None
+
+
+def test_many_legs_go_straight_on():
+    parts = understood_rig(spider())
+    walk = next(clip for clip in all_clips() if "walk" in clip.tags).motion().of_own_body()
+    way = fit_motion(walk, parts.anatomy).root_translation
+    across, along = np.abs(way[-1] - way[0])[[0, 2]]
+    assert across < 0.1 * along

@@ -73,7 +73,7 @@ WAVE = {"swim": 1.2, "slither": 0.9}  # waves in a second
 BENT = {"swim": 0.45, "slither": 0.7}  # how far the tip of a tail turns aside [rad]
 BENDS = 0.3  # a tail that swings through less than this does not bend [rad]
 SPEED = {"swim": 0.5, "slither": 0.3, "step": 0.3, "run": 0.6}
-"""Lengths of the body in a second; without legs it glides where others step or run."""
+"""Lengths of the body, along its longest axis, in a second; without legs it glides where others step or run."""
 LASTS = 1.0
 """What changes more slowly than this is how a body is held in the water, and no swing [s]. Chosen by eye."""
 STAYS = 0.25  # a motion that gets ahead by less than this share of that is given the speed
@@ -294,11 +294,11 @@ def _upon_base(motion: HandleMotion) -> HandleMotion:
 
 
 def _travelled(motion: HandleMotion, locomotion: str, frames: np.ndarray, anatomy: Anatomy) -> np.ndarray:
-    """The root's path, at a speed fit for the body's length where it hardly gets ahead, shape (N, 3)."""
+    """The root's path, at a speed fit for the body's size where it hardly gets ahead, shape (N, 3)."""
     path = motion.root_translation.astype(np.float64)
     ahead = matrix_y(np.asarray(heading(motion.root_rotation, motion.fps)))[:, :, 2]
     own = float(((path[frames[-1]] - path[frames[0]]) * ahead[frames].mean(axis=0)).sum())
-    length = float(np.ptp(anatomy.mesh.vertices[anatomy.mesh.surface, 2])) / anatomy.scale
+    length = float(np.ptp(anatomy.mesh.vertices[anatomy.mesh.surface], axis=0).max()) / anatomy.scale
     wanted = SPEED[locomotion] * length * len(frames) / motion.fps
     share = _amount(len(motion), frames, motion.fps)
     more = np.cumsum(ahead * share[:, None] * wanted / len(frames), axis=0)

@@ -16,6 +16,7 @@ from scipy.sparse import csr_matrix
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.handles.limbs import FAMILIES, SIDES, limb_handles
 from bunraku.anatomy.joints import PRESENT, Joints, reference_joints
+from bunraku.anatomy.legs import legs_of_rig
 from bunraku.anatomy.names.bone_names import NO_HANDLE, handle_of_joints, limb_parents, resolve_joints, rig_handles
 from bunraku.anatomy.names.bone_words import part_of_name, without_prefix
 from bunraku.anatomy.names.skeleton_map import joints_by_structure, mmd_centre, mmd_skeleton_map
@@ -266,20 +267,21 @@ def _moves_all(body: Anatomy, shared: np.ndarray, parts: np.ndarray) -> bool:
 
 
 def understood_rig(character: Character) -> RigParts | None:
-    """The rig of a person, of four legs or of a bird, read from the file, the names of its bones or their shape;
-    None where it is none of these, or there is none.
+    """The rig of a person, of four legs or more, or of a bird, read from the file, the names of its bones or their
+    shape; None where it is none of these, or there is none.
 
     Args:
         character: Facing +Z.
     """
+    many = legs_of_rig(character)
     for shaped in (None, _shaped_parts(character)):
         try:
             parts = RigParts.of(character, shaped)
         except CharacterError:
             continue
-        if parts.complete or parts.winged:
+        if (parts.complete or parts.winged) and (many is None or parts.humanoid):
             return parts
-    return None
+    return None if many is None else RigParts.by_skin(Anatomy.of(character, many))
 
 
 def is_humanoid_rig(character: Character) -> bool:

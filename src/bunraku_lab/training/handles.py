@@ -12,12 +12,14 @@ from typing import Any
 import numpy as np
 import torch
 from scipy.sparse import csr_matrix
+from scipy.spatial import cKDTree
 
 from bunraku.anatomy.handles.networks import PredictorConfig
 from bunraku.anatomy.joints import PRESENT
 from bunraku.core.body.layout import HANDLE_MIRROR, HANDLE_NAMES
 from bunraku.core.body.reference import handle_positions
 from bunraku.core.files import atomic_write
+from bunraku.core.geometry.rotations import nearest_rotation
 from bunraku.errors import OptionError
 from bunraku_lab.datasets.characters.training_character import (
     UPRIGHT,
@@ -50,6 +52,9 @@ class MeshAugmentation:
         split_rate: Share of the examples that are cut into loose parts.
         noise: Largest standard deviation of the noise on positions, in units of the largest extent.
         normal_noise: Largest standard deviation of the noise on normals.
+        fuse_rate: Share of the examples whose limbs are one skin with what they touch.
+        base_rate: Share of the examples that are one skin with a plinth or a plate below them.
+        prop_rate: Share of the examples with a rod or a disc in a hand.
     """
 
     slide_rate: float = 0.5
@@ -61,6 +66,9 @@ class MeshAugmentation:
     split_rate: float = 0.25
     noise: float = 0.004
     normal_noise: float = 0.12
+    fuse_rate: float = 0.15
+    base_rate: float = 0.1
+    prop_rate: float = 0.1
 
 
 _ROWS = ("vertices", "normals", "weights", "target")
@@ -149,9 +157,110 @@ def noisy(mesh: TrainingMesh, rng: np.random.Generator, positions: float, normal
     return replace(mesh, vertices=mesh.vertices + shift, normals=mesh.normals + turn, posed=mesh.posed + shift)
 
 
+def fused(mesh: TrainingMesh, rng: np.random.Generator) -> TrainingMesh:
+    """What nearly touches is one skin, as in figures for print: hands on hips, arms along a robe, thighs."""
+    lengths = np.linalg.norm(mesh.vertices[mesh.edges[:, 0]] - mesh.vertices[mesh.edges[:, 1]], axis=1)
+    pairs = cKDTree(mesh.vertices).query_pairs(float(np.median(lengths) * rng.uniform(0.8, 1.6)), output_type="ndarray")
+    return replace(mesh, edges=np.unique(np.concatenate([mesh.edges, np.sort(pairs, axis=1)]), axis=0))
+
+
+def _sheet(rings: int, around: int) -> tuple[np.ndarray, np.ndarray]:
+    """Radius and angle of points on rings, shape (R, 2), and the edges between them."""
+    radius, angle = np.meshgrid(np.arange(rings), np.linspace(0, 2 * np.pi, around, endpoint=False), indexing="ij")
+    number = np.arange(rings * around).reshape(rings, around)
+    edges = [np.stack([number, np.roll(number, 1, axis=1)], -1), np.stack([number[1:], number[:-1]], -1)]
+    edges = [pairs.reshape(-1, 2) for pairs in edges]
+    return np.stack([radius.ravel(), angle.ravel()], axis=1), np.concatenate(edges)
+
+
+def _joined(
+    mesh: TrainingMesh, points: np.ndarray, edges: np.ndarray, posed: np.ndarray, like: tuple[np.ndarray, np.ndarray],
+    rng: np.random.Generator,
+) -> TrainingMesh:  # fmt: skip
+    """The example with a further piece, one skin with it half of the time, and brought back to its unit.
+
+    Args:
+        mesh: The example.
+        points, edges, posed: Of the piece, shapes (R, 3), (E, 2) and (N, R, 3).
+        like: Row of joint weights (J,) and of handle shares (30,) of all its points.
+        rng: Source of randomness.
+    """
+    count, added = len(mesh.vertices), len(points)
+    normals = points - points.mean(axis=0)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+    ends = points[edges]
+    step = float(np.median(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)))
+    bridges = np.zeros((0, 2), np.int64)
+    if rng.random() < 0.5:
+        gap, near = cKDTree(mesh.vertices).query(points)
+        close = np.flatnonzero(gap < max(1.5 * step, float(gap.min()) + 1e-6))
+        bridges = np.stack([near[close], count + close], axis=1)
+    whole = np.concatenate([mesh.vertices, points])
+    low, high = whole.min(axis=0), whole.max(axis=0)
+    middle, scale = 0.5 * (low + high), max(float((high - low).max()), 1e-9)
+    return replace(
+        mesh, vertices=((whole - middle) / scale).astype(np.float32),
+        normals=np.concatenate([mesh.normals, normals]).astype(np.float32),
+        areas=np.concatenate([mesh.areas, np.full(added, step * step)]).astype(np.float32) / np.float32(scale**2),
+        edges=np.concatenate([mesh.edges, edges + count, bridges]),
+        weights=np.concatenate([mesh.weights, np.tile(like[0], (added, 1))]),
+        target=np.concatenate([mesh.target, np.tile(like[1], (added, 1))]),
+        root=((mesh.root - middle) / scale).astype(np.float32), height=float((high - low)[1] / scale),
+        posed=((np.concatenate([mesh.posed, posed], axis=1) - middle) / scale).astype(np.float32),
+    )  # fmt: skip
+
+
+def on_base(mesh: TrainingMesh, rng: np.random.Generator) -> TrainingMesh:
+    """The example on a plinth, a plate or a column, which goes with the root."""
+    roots = np.flatnonzero(mesh.handles == 0)
+    low = float(mesh.vertices[:, 1].min())
+    feet = mesh.vertices[mesh.vertices[:, 1] < low + 0.03]
+    if not len(roots) or len(feet) < 3:
+        return mesh
+    middle, wide = feet.mean(axis=0), float(np.ptp(feet[:, [0, 2]], axis=0).max())
+    sheet, edges = _sheet(7, 20)
+    high, radius = rng.choice([0.02, 0.1, 0.3]) * rng.uniform(0.5, 1.5), (0.5 * wide + 0.02) * rng.uniform(1.05, 2.5)
+    # From the middle of the top outwards, down the side, and back below.
+    along = np.array([0.15, 0.6, 1, 1, 1, 0.6, 0.15])[sheet[:, 0].astype(int)] * radius
+    down = np.array([0, 0, 0, 0.5, 1, 1, 1])[sheet[:, 0].astype(int)] * high
+    points = middle * [1, 0, 1] + np.stack([along * np.cos(sheet[:, 1]), low - down, along * np.sin(sheet[:, 1])], 1)
+    points += rng.normal(0, 0.1 * high * rng.random(), points.shape) * [1, 0, 1]
+    weights, target = np.eye(mesh.weights.shape[1])[roots[0]], np.eye(mesh.target.shape[1])[0]
+    posed = np.tile(points, (len(mesh.posed), 1, 1))
+    return _joined(mesh, points, edges, posed, (weights, target), rng)
+
+
+_HANDS = [HANDLE_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in ("wrist", "fingers")]
+
+
+def with_prop(mesh: TrainingMesh, rng: np.random.Generator) -> TrainingMesh:
+    """The example with a rod or a disc in a hand, which goes with it."""
+    hands = np.flatnonzero(mesh.target[:, _HANDS].sum(axis=1) > 0.8)
+    if len(hands) < 3:
+        return mesh
+    grip = int(rng.choice(hands))
+    long, thick = rng.uniform(0.2, 0.9), rng.uniform(0.004, 0.02)
+    if rng.random() < 0.3:
+        long, thick = thick, rng.uniform(0.05, 0.2)
+    sheet, edges = _sheet(12, 6)
+    along = (sheet[:, 0] / 11 - rng.random()) * long
+    points = np.stack([thick * np.cos(sheet[:, 1]), along, thick * np.sin(sheet[:, 1])], axis=1)
+    points = points @ np.linalg.qr(rng.normal(size=(3, 3)))[0].T + mesh.vertices[grip]
+    beside = hands[np.argsort(np.linalg.norm(mesh.vertices[hands] - mesh.vertices[grip], axis=1))[:24]]
+    own, posed = mesh.vertices[beside].astype(np.float64), []
+    for frame in mesh.posed[:, beside].astype(np.float64):
+        turn = nearest_rotation((frame - frame.mean(axis=0)).T @ (own - own.mean(axis=0)))
+        posed.append((points - own.mean(axis=0)) @ turn.T + frame.mean(axis=0))
+    rows = np.array(posed).reshape(len(mesh.posed), len(points), 3)
+    return _joined(mesh, points, edges, rows, (mesh.weights[grip], mesh.target[grip]), rng)
+
+
 def augment_mesh(mesh: TrainingMesh, rng: np.random.Generator, config: MeshAugmentation | None = None) -> TrainingMesh:
     """The example with its surface changed at random."""
     config = config or MeshAugmentation()
+    for rate, change in ((config.fuse_rate, fused), (config.base_rate, on_base), (config.prop_rate, with_prop)):
+        if rng.random() < rate:
+            mesh = change(mesh, rng)
     if rng.random() < config.split_rate:
         mesh = split(mesh, rng)
     if rng.random() < config.coarse_rate:

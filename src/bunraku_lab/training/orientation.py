@@ -21,6 +21,7 @@ from bunraku_lab.datasets.characters.training_character import (
     folder_chances,
 )
 from bunraku_lab.nn.handles import OrientationPredictor
+from bunraku_lab.training.handles import on_base, with_prop
 from bunraku_lab.training.runs.run import AveragedRun, Progress, Report, StepSettings, TrainingNote
 
 UPRIGHT = ORIENTATIONS.index(("+y", "+z"))
@@ -29,6 +30,9 @@ FRONTS = [n for n, (up, _) in enumerate(ORIENTATIONS) if up == "+y"]
 """Those that stand upright, whatever they face."""
 OTHERS = [n for n, (up, _) in enumerate(ORIENTATIONS) if up != "+y"]
 """Those that do not."""
+
+
+BESIDE_RATE = 0.1  # share of the examples with a base, and with a prop; chosen, not measured
 
 
 def varied_tokens(
@@ -45,6 +49,8 @@ def varied_tokens(
         config: How its rest pose and proportions vary.
     """
     mesh = augment(character, rng, config or AugmentConfig(poses=0))
+    for change in (on_base, with_prop):
+        mesh = change(mesh, rng) if rng.random() < BESIDE_RATE else mesh
     axis = rng.normal(size=3)
     turn = np.asarray(matrix_from_axis_angle(axis / np.linalg.norm(axis) * rng.uniform(0, tilt)))
     return _corrupted(mesh.vertices, mesh.normals, mesh.areas, rng, anchors, turn)

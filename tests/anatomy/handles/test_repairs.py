@@ -13,7 +13,6 @@ from bunraku.anatomy.handles.repairs import (
     HairToHead,
     JoinRegions,
     Patient,
-    RigidBase,
     SeatParts,
     SoftenTornEdges,
 )
@@ -140,25 +139,6 @@ def test_the_reference_body_stays_as_it_is():
     weights /= weights.sum(axis=1, keepdims=True)
     assert np.abs(mended(JoinRegions(), mesh, weights) - weights).sum(axis=1).mean() < 2e-3
     assert np.abs(mended(SoftenTornEdges(), mesh, weights) - weights).sum(axis=1).mean() < 2e-3
-
-
-def test_a_figure_glides_with_the_base_that_it_is_one_piece_with():
-    body = reference_body()
-    disc = trimesh.creation.cylinder(0.45, 0.1, sections=48).subdivide()
-    disc = disc.subdivide().apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [1, 0, 0]))
-    low = body.vertices[:, 1].min() - 0.04
-    vertices = np.concatenate([body.vertices, disc.vertices + [0, low, 0]])
-    mesh = network_mesh(vertices, np.concatenate([body.faces, disc.faces + len(body.vertices)]), 2000)
-    full = np.zeros((len(vertices), HANDLE_COUNT), np.float32)
-    full[: len(body.vertices)] = body.handle_weights
-    left = disc.vertices[:, 0] > 0
-    full[len(body.vertices) :, H["left_foot"]], full[len(body.vertices) :, H["right_foot"]] = left, ~left
-    weights = mesh.pull(full)
-    mended_weights = mended(RigidBase(), mesh, weights)
-    held = mesh.pull((np.arange(len(vertices)) >= len(body.vertices)).astype(np.float32)[:, None])[:, 0] > 0.9
-    assert (mended_weights[held, 0] > 0.99).all()
-    assert mended_weights[:, [H[f"{side}_{part}"] for side in ("left", "right") for part in ("hip", "knee")]].max() == 0
-    np.testing.assert_array_equal(mended_weights[:, H["left_elbow"]], weights[:, H["left_elbow"]])
 
 
 def test_strain_is_what_a_turn_does_to_an_edge():

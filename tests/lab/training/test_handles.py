@@ -26,8 +26,10 @@ from bunraku_lab.training.handles import (
     HandleTrainer,
     MeshAugmentation,
     augment_mesh,
+    on_base,
     train_handles,
     validate_handles,
+    with_prop,
     write_mesh_bank,
 )
 from bunraku_lab.training.losses import handles as losses
@@ -203,8 +205,27 @@ def check(mesh: TrainingMesh) -> None:
 
 
 def test_damage_is_random_but_repeatable(mesh):
-    always = MeshAugmentation(slide_rate=1, coarse_rate=1, hole_rate=1, split_rate=1, noise=0)
+    always = MeshAugmentation(1, 0.4, 1, 0.45, 1, 0.1, 1, 0, 0.12, 0, 0, 0)
     first, second = (augment_mesh(mesh, np.random.default_rng(5), always) for _ in range(2))
     check(first)
     np.testing.assert_array_equal(first.vertices, second.vertices)
-    assert augment_mesh(mesh, np.random.default_rng(5), MeshAugmentation(0, 0, 0, 0, 0, 0, 0, 0, 0)) is mesh
+    assert augment_mesh(mesh, np.random.default_rng(5), MeshAugmentation(*[0] * 12)) is mesh
+
+
+def test_a_base_goes_with_the_root_and_a_prop_with_its_hand():
+    """The base rests in poses in which the root does; the prop keeps its shape and its distance to the hand."""
+    rng, body = np.random.default_rng(3), worm()
+    handles = np.array([0, HANDLE_NAMES.index("spine2"), HANDLE_NAMES.index("left_wrist")])
+    mesh = plain_mesh(dataclasses.replace(body, handles=handles, target=handle_target(body.weights, handles)), rng)
+    count = len(mesh.vertices)
+    based, held = on_base(mesh, rng), with_prop(mesh, rng)
+    base = slice(count, None)
+    assert len(based.vertices) > count < len(held.vertices)
+    assert (based.target[base, 0] == 1).all() and np.ptp(based.vertices, axis=0).max() == pytest.approx(1, abs=1e-5)
+    assert based.vertices[base, 1].min() < based.vertices[:count, 1].min()
+    np.testing.assert_allclose(based.posed[:, base], np.tile(based.vertices[base], (len(based.posed), 1, 1)), atol=1e-5)
+    rest = np.linalg.norm(held.vertices[count] - held.vertices[base], axis=1)
+    for frame in held.posed:
+        np.testing.assert_allclose(np.linalg.norm(frame[count] - frame[base], axis=1), rest, atol=1e-5)
+    hands = held.target[base][:, [HANDLE_NAMES.index(f"{side}_wrist") for side in ("left", "right")]]
+    assert hands.sum(axis=1).min() > 0.5

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial import ConvexHull, cKDTree
+from scipy.spatial import cKDTree
 
 from bunraku.anatomy.handles.limbs import FAMILIES, LIMB_HANDLES, SIDES, limb_handles
 from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES, HANDLE_PARENTS
@@ -86,53 +86,6 @@ class DropDoubtfulLimbs(Repair):
                 out[:, np.concatenate(sides)] = 0
         left = out.sum(axis=1, keepdims=True)
         return np.where(left > 0, out / np.maximum(left, 1e-12), weights).astype(np.float32)
-
-
-@dataclass(frozen=True)
-class RigidBase(Repair):
-    """A base that is one piece with what stands on it does not bend, nor do the legs on it: a figure for print, or a
-    statue, glides with its base. A base is flat below and has a flat top beside the feet.
-
-    All were chosen by eye on figures of tabletop games and on a gown.
-
-    Args:
-        high: A base is no higher than this share of the height.
-        sole: What is so low is its bottom, over the height.
-        flat: Least length of a normal's part along Y where it is flat.
-        filled: Least share of its outline that is bottom.
-        beside: Least share of its outline that is flat top.
-        one: Least share of the bottom's surroundings that hangs together: two feet are no base.
-    """
-
-    high: float = 0.25
-    sole: float = 0.04
-    flat: float = 0.7
-    filled: float = 0.6
-    beside: float = 0.25
-    one: float = 0.9
-
-    def __call__(self, body: Patient, weights: np.ndarray) -> np.ndarray:
-        heights, up = body.mesh.vertices[:, 1] - body.mesh.vertices[:, 1].min(), body.mesh.normals[:, 1]
-        height = float(heights.max())
-        low = heights < self.sole * height + body.mesh.cell
-        if low.sum() < 8 or np.ptp(body.mesh.vertices[low][:, [0, 2]], axis=0).min() < body.mesh.cell:
-            return weights
-        outline = ConvexHull(body.mesh.vertices[low][:, [0, 2]]).volume  # an area in two dimensions
-        pieces = np.bincount(body.pieces(low)[low], body.areas[low])
-        top = (heights < self.high * height) & (up > self.flat)
-        bottom = float(body.areas[low & (up < -self.flat)].sum())
-        if (
-            pieces.max() < self.one * pieces.sum()
-            or bottom < self.filled * outline
-            or float(body.areas[top].sum()) < self.beside * outline
-        ):
-            return weights
-        out = np.array(weights)
-        base = heights < np.quantile(heights[top], 0.9) + 0.5 * body.mesh.cell
-        out[:, 0] += out[:, _LEGS].sum(axis=1)
-        out[:, _LEGS] = 0
-        out[base] = np.eye(1, out.shape[1])
-        return out
 
 
 @dataclass(frozen=True)
@@ -392,7 +345,7 @@ class SoftenTornEdges(Repair):
 
 
 REPAIRS: tuple[Repair, ...] = (
-    DropDoubtfulLimbs(), HairToHead(), HairOffArms(), EarsToHead(), JoinRegions(), RigidBase(), SoftenTornEdges(),
+    DropDoubtfulLimbs(), HairToHead(), HairOffArms(), EarsToHead(), JoinRegions(), SoftenTornEdges(),
 )  # fmt: skip
 """All repairs, in the order in which they run."""
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from bunraku.core.geometry.graph import mesh_parts
 from bunraku.files.gltf.document import Document
 from bunraku.files.gltf.nodes import NodeTree, SkinJoints
 
@@ -36,26 +37,6 @@ def strongest(
     return indices, weights / np.where(total > 0, total, 1)
 
 
-def borrow_weights(vertices: np.ndarray, indices: np.ndarray, shares: np.ndarray, lost: np.ndarray) -> None:
-    """Give vertices without weights those of the nearest vertex that has some, or the first joint where none has.
-
-    Args:
-        vertices: Positions, shape (V, 3).
-        indices, shares: Joints and their shares, changed in place, shape (V, M).
-        lost: The vertices without weights.
-    """
-    good = np.flatnonzero(shares.sum(axis=1) > 1e-9)
-    good = good[np.isfinite(vertices[good]).all(axis=1)]
-    if not len(good):
-        indices[lost], shares[lost] = 0, 0
-        shares[lost, 0] = 1
-        return
-    from scipy.spatial import cKDTree
-
-    nearest = good[cKDTree(vertices[good]).query(np.nan_to_num(vertices[lost], posinf=0, neginf=0))[1]]
-    indices[lost], shares[lost] = indices[nearest], shares[nearest]
-
-
 MAX_VERTICES, MAX_TRIANGLES, MAX_PRIMITIVES = 20_000_000, 40_000_000, 20_000
 MAX_WORK = 150_000_000
 """Most vertices over all primitives, each counted as often as it is used: for its morph targets, and for colours."""
@@ -74,7 +55,6 @@ class PrimitiveData:
         triangles: For each primitive, vertex indices, shape (F, 3), int32.
         joints: Joints of the merged list, shape (V, M).
         weights: Their shares, rows sum to 1, shape (V, M); empty where there is no rig.
-        repaired: How many vertices had weights that had to be repaired.
     """
 
     primitives: tuple[int, ...]
@@ -82,7 +62,6 @@ class PrimitiveData:
     triangles: tuple[np.ndarray, ...]
     joints: np.ndarray
     weights: np.ndarray
-    repaired: int
 
 
 @dataclass(frozen=True)
@@ -177,40 +156,50 @@ def read_part(document: Document, tree: NodeTree, skins: SkinJoints, node: int, 
     skin = document.integer(entry, "skin") if "skin" in entry else None
     if skin is not None and skin >= len(skins.slots):
         document.broken(f"node {node} uses a skin that does not exist")
+    mirrored = bool(np.linalg.det(tree.world[node, :3, :3]) < 0) if skin is None else skins.mirrored[skin]
+    primitives = document.item("meshes", mesh)["primitives"]
+    rows = [
+        (members, attributes, rest_positions(document, entry, mesh, primitives[members[0]]))
+        for members, attributes in primitive_groups(document, mesh)
+    ]
+    held = [_influences(document, attributes, raw, skins, skin) for _, attributes, raw in rows]
+    faces = [
+        [primitive_triangles(document, primitives[member], len(raw))[:, [0, 2, 1] if mirrored else [0, 1, 2]]
+         for member in members]
+        for members, _, raw in rows
+    ]  # fmt: skip
+    if skin is not None:
+        _borrow(
+            [raw for _, _, raw in rows], [np.concatenate(some) for some in faces], held, skins.idle[skins.slots[skin]]
+        )
     groups: list[PrimitiveData] = []
     transforms: list[np.ndarray | None] = []
-    mirrored = bool(np.linalg.det(tree.world[node, :3, :3]) < 0) if skin is None else skins.mirrored[skin]
-    for members, attributes in primitive_groups(document, mesh):
-        primitives = document.item("meshes", mesh)["primitives"]
-        raw = rest_positions(document, entry, mesh, primitives[members[0]])
-        triangles = tuple(primitive_triangles(document, primitives[member], len(raw)) for member in members)
-        if mirrored:
-            triangles = tuple(np.ascontiguousarray(corners[:, [0, 2, 1]]) for corners in triangles)
-        if skin is not None and "JOINTS_0" in attributes and "WEIGHTS_0" in attributes:
-            slots, weights, repaired = _influences(document, attributes, raw, len(skins.slots[skin]))
+    for (members, _, raw), corners, influences in zip(rows, faces, held, strict=True):
+        triangles = tuple(map(np.ascontiguousarray, corners))
+        if skin is not None and influences is not None:
+            slots, shares = influences
+            weights = shares / shares.sum(axis=1, keepdims=True)
             vertices, transform = _skinned(raw, slots, weights, skins.bind[skin])
             joints = skins.slots[skin][slots]
         else:
-            transform, repaired = tree.world[node], 0
+            transform = tree.world[node]
             vertices = raw @ transform[:3, :3].T + transform[:3, 3]
             joints = np.broadcast_to(np.int64(carrier), (len(raw), 1))
             weights = np.broadcast_to(np.float64(1), (len(raw), 1))
-        groups.append(PrimitiveData(members, vertices, triangles, joints, weights, repaired))
+        groups.append(PrimitiveData(members, vertices, triangles, joints, weights))
         transforms.append(transform)
     return MeshPart(node, mesh, _common(transforms), mirrored, tuple(groups))
 
 
 def skin_matrices(document: Document, tree: NodeTree, skins: SkinJoints, part: MeshPart, group: int) -> np.ndarray:
     """Transform of each raw vertex of a group to its rest position, shape (V, 4, 4)."""
-    entry = document.item("nodes", part.node)
-    primitive = document.item("meshes", part.mesh)["primitives"][part.groups[group].primitives[0]]
-    attributes = primitive["attributes"]
+    entry, data = document.item("nodes", part.node), part.groups[group]
+    attributes = document.item("meshes", part.mesh)["primitives"][data.primitives[0]]["attributes"]
     if "skin" in entry and "JOINTS_0" in attributes and "WEIGHTS_0" in attributes:
-        bind = skins.bind[entry["skin"]]
-        raw = rest_positions(document, entry, part.mesh, primitive)
-        slots, weights, _ = _influences(document, attributes, raw, len(bind))
-        return np.einsum("vm,vmij->vij", weights, bind[slots])
-    return np.broadcast_to(tree.world[part.node], (len(part.groups[group].vertices), 4, 4))
+        slots, slot = skins.slots[entry["skin"]], np.zeros(len(skins.nodes), int)
+        slot[slots[::-1]] = np.arange(len(slots))[::-1]
+        return np.einsum("vm,vmij->vij", data.weights, skins.bind[entry["skin"]][slot[data.joints]])
+    return np.broadcast_to(tree.world[part.node], (len(data.vertices), 4, 4))
 
 
 def rest_positions(document: Document, node: dict[str, object], mesh: int, primitive: dict[str, object]) -> np.ndarray:
@@ -295,9 +284,11 @@ def rigid_joints(tree: NodeTree, skins: SkinJoints) -> np.ndarray:
 
 
 def _influences(
-    document: Document, attributes: dict[str, object], raw: np.ndarray, slots: int
-) -> tuple[np.ndarray, np.ndarray, int]:
-    """Slots and weights of each vertex with broken weights repaired, and how many were."""
+    document: Document, attributes: dict[str, object], raw: np.ndarray, skins: SkinJoints, skin: int | None
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Slots of each vertex and their shares, 0 where they are broken, shape (V, M); None where there is no skin."""
+    if skin is None or "JOINTS_0" not in attributes or "WEIGHTS_0" not in attributes:
+        return None
     joints, weights = [], []
     for name in ("0", "1"):
         if f"JOINTS_{name}" in attributes and f"WEIGHTS_{name}" in attributes:
@@ -308,14 +299,60 @@ def _influences(
     indices, shares = np.concatenate(joints, 1).astype(np.int64), np.concatenate(weights, 1)
     shares = np.where(np.isfinite(shares) & (shares > 0), shares, 0)
     indices[shares == 0] = 0
+    slots = len(skins.slots[skin])
     if len(indices) and int(indices.max()) >= slots:
         document.broken(f"a vertex is weighted to joint {int(indices.max())} of a skin with {slots}")
-    total = shares.sum(axis=1)
-    lost = np.flatnonzero(~(total > 1e-9))
-    if len(lost):
-        borrow_weights(raw, indices, shares, lost)
-        total = shares.sum(axis=1)
-    return indices, shares / total[:, None], len(lost)
+    return indices, shares
+
+
+def _borrow(
+    raws: list[np.ndarray],
+    triangles: list[np.ndarray],
+    held: list[tuple[np.ndarray, np.ndarray] | None],
+    idle: np.ndarray,
+) -> None:
+    """Give the vertices of a mesh that no joint moves the weights of the nearest ones that some do, in place; loose
+    pieces of them move as a whole.
+
+    Args:
+        raws: Positions of each primitive, shape (V, 3).
+        triangles: Of each, shape (F, 3).
+        held: Slots and shares of each (`_influences`); rows of shares sum to more than 0 afterwards.
+        idle: Slots of joints that move nothing (`SkinJoints.idle`), shape (slots,), bool.
+    """
+    where = [number for number, pair in enumerate(held) if pair is not None]
+    pairs = [pair for pair in held if pair is not None]
+    lost = [(shares * ~idle[slots]).sum(axis=1) <= 1e-9 for slots, shares in pairs]
+    if not any(some.any() for some in lost):
+        return
+    width = max(slots.shape[1] for slots, _ in pairs)
+    slots, shares = (
+        np.concatenate([np.pad(pair[part], ((0, 0), (0, width - pair[part].shape[1]))) for pair in pairs])
+        for part in (0, 1)
+    )
+    gone, points = np.concatenate(lost), np.nan_to_num(np.concatenate([raws[number] for number in where]))
+    shares[gone] = 0
+    if gone.all():
+        slots[:], shares[:, 0] = 0, 1
+    else:
+        from scipy.spatial import cKDTree
+
+        starts = np.cumsum([0, *(len(raws[number]) for number in where)])
+        corners = np.concatenate([triangles[number] + start for number, start in zip(where, starts, strict=False)])
+        index = np.unique(points, axis=0, return_inverse=True)[1].reshape(-1)
+        edges = np.concatenate([index[corners[:, [0, 1]]], index[corners[:, [1, 2]]]])
+        piece = mesh_parts(edges, int(index.max()) + 1)[index]
+        rows, good = np.flatnonzero(gone), np.flatnonzero(~gone)
+        gap, near = cKDTree(points[good]).query(points[rows])
+        near = good[near]
+        order = np.argsort(gap, kind="stable")  # of a loose piece, the vertex that is nearest speaks for all
+        first = order[np.unique(piece[rows][order], return_index=True)[1]]
+        nearest = np.zeros(int(piece.max()) + 1, int)
+        nearest[piece[rows[first]]] = near[first]
+        near = np.where(np.isin(piece[rows], piece[good]), near, nearest[piece[rows]])
+        slots[rows], shares[rows] = slots[near], shares[near]
+    for number, start in zip(where, np.cumsum([0, *(len(raws[number]) for number in where)]), strict=False):
+        held[number] = slots[start : start + len(raws[number])], shares[start : start + len(raws[number])]
 
 
 def _skinned(

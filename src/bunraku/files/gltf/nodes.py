@@ -71,6 +71,8 @@ class SkinJoints:
         inverse: For each skin, the inverse bind matrix of each slot, shape (slots, 4, 4).
         bind: For each skin, the transform of a raw mesh to the pose of the tree through each slot, shape (slots, 4, 4).
         mirrored: Whether each skin turns its meshes inside out.
+        idle: Joints that move nothing, shape (J,), bool: beside a tree of others, without a joint above or below, and
+            in no clip. Blender writes one for the vertices that have no weights.
     """
 
     nodes: list[int]
@@ -78,6 +80,7 @@ class SkinJoints:
     inverse: list[np.ndarray]
     bind: list[np.ndarray]
     mirrored: list[bool]
+    idle: np.ndarray
 
 
 def posed_skins(skins: SkinJoints, tree: NodeTree) -> SkinJoints:
@@ -182,7 +185,24 @@ def read_skins(document: Document, tree: NodeTree) -> SkinJoints:
         if not np.isfinite(inverse).all():
             document.broken("a skin has inverse bind matrices that are not numbers")
         inverses.append(inverse)
-    return posed_skins(SkinJoints(list(merged), slots, inverses, [], []), tree)
+    idle = _idle(document, tree, list(merged))
+    return posed_skins(SkinJoints(list(merged), slots, inverses, [], [], idle), tree)
+
+
+def _idle(document: Document, tree: NodeTree, nodes: list[int]) -> np.ndarray:
+    """`SkinJoints.idle` of the nodes of all joints."""
+    joints, above = tree.nearest({node: joint for joint, node in enumerate(nodes)}), tree.parents[nodes]
+    parents = np.where(above >= 0, joints[above], -1)
+    moved = [
+        channel["target"].get("node")
+        for clip in document.items("animations")
+        for channel in document.objects(clip, "channels")
+        if isinstance(channel.get("target"), dict)
+    ]
+    alone = (
+        (parents < 0) & ~np.isin(np.arange(len(nodes)), parents) & ~np.isin(nodes, [n for n in moved if type(n) is int])
+    )
+    return alone & bool((parents >= 0).any())
 
 
 SAME_SIZE = 0.03  # bones may differ by this share in length for a placement to be one of the file's own size

@@ -9,6 +9,7 @@ import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy, reference_anatomy
 from bunraku.core.geometry.curves import gaussian, smooth_step, solve_banded
+from bunraku.core.geometry.rotations import heading, matrix_y
 from bunraku.core.motion import HandleMotion
 from bunraku.retarget.stages.stage import Contacts, Fitting, Stage, sole_points, with_feet_moved
 
@@ -212,16 +213,23 @@ class Feet(Stage):
             motion: Of the character, on the ground.
             anatomy: Of the character, with L legs.
             source: The motion of the reference body whose path counts; None where the path may change. What steps are
-                shorter or longer than there the legs make up alone, step by step; what slides there is held here.
+                shorter or longer than there the legs make up alone, step by step; what slides there on purpose
+                (`SLIDES`) is held here.
         """
         legs = anatomy.legs
         if not legs or len(motion) < 3:
             return motion, None
         contacts, missing = self.contacts(motion, anatomy)
         path = motion.root_translation.astype(np.float64)
+        if anatomy.has_extra_legs:  # legs that stand out sideways would push the body aside
+            aside = matrix_y(heading(motion.root_rotation, motion.fps))[1:, [0, 2], 0]
+            missing = missing - aside * (missing * aside).sum(axis=1, keepdims=True)
         away = np.concatenate([np.zeros((1, 2)), np.cumsum(missing, axis=0)])
         if source is not None:
             _, slid = self.contacts(source, reference_anatomy())
+            slid = slid * (
+                float(np.linalg.norm(slid, axis=1).mean() * motion.fps) > SLIDES
+            )  # less is a capture's noise
             drift = away[1:] - np.cumsum(anatomy.scale * slid, axis=0)
             away -= _lasting(np.concatenate([away[:1], drift]), self.stride * motion.fps)
             missing = np.diff(away, axis=0)
