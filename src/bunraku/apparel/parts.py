@@ -42,9 +42,9 @@ LEAST = 5e-4  # of the surface: smaller parts belong to the body; chosen by eye
 BORDER = 0.03  # over the size: so far from the body's surface a stiff part of one skin with it is not stiff yet; by eye
 BARE = 0.25  # of the surface: where less would be left of a body, its handles are those of the whole; chosen by eye
 LOW, WIDE = 0.3, 0.15
-"""Nine tenths of a base are lower, of the height, and it has more of the surface. Of 57 files, six have a base, with at
-least 22 % of the surface up to 31 % of the height; soles and the hems of gowns that the network takes for one have less
-than 10 %.
+"""Nine tenths of a base are lower, of the height, and it has more of the surface. Measured: of 57 files six have one,
+with at least 22 % of the surface below 31 % of the height; soles and hems of gowns that the network takes for one have
+less than 10 %.
 """
 HOLDING = 10  # percentile of distances: so much of a part, nearest to the body, says what holds it; chosen by eye
 MOSTLY = 0.6  # of the surface about what is worn: where one limb has less of it, it bends; chosen by eye
