@@ -318,6 +318,13 @@ def test_the_sampler_retrieves_for_the_sentence_from_the_shipped_examples(runnin
     assert np.abs(one - sample(model, text, 40, Solver(2), seed=1).values).max() > 1e-3
 
 
+def test_a_gesture_shows_the_action_of_its_name_whatever_the_lexicon_finds_in_its_sentences():
+    assert said_by(("takes aim with a rifle",)).actions == {"shoot"}
+    example = Example("gesture_aim_rifle_121", ("takes aim with a rifle",), 20)
+    assert said_by(example.texts, example.gesture).actions == {"aim rifle"}
+    assert Example("own_aim#1", (), 20).gesture == Example("gesture_standing", (), 20).gesture == ""
+
+
 def test_what_the_pack_holds_of_its_sentences_is_what_is_read_in_them():
     """But for actions, which people read."""
     pack = read_pack(weights_file("examples.safetensors"))

@@ -13,7 +13,7 @@ from bunraku.gestures.catalogue import STANDING, at_part, gesture_of, gestures, 
 from bunraku.gestures.perform import performed
 from bunraku.gestures.play import AT, gesture_motion
 from bunraku.gestures.pose import HANGING, Gesture, Hand, Pose, Repeat, again, foot_on, through
-from bunraku.language.lexicon import actions_of
+from bunraku.language.lexicon import actions_of, lexicon
 from bunraku.language.understood import understood
 
 JOINT_AT = {name: index for index, name in enumerate(JOINT_NAMES)}
@@ -54,10 +54,11 @@ def test_claps_meet_and_part_as_often_as_said():
 @pytest.mark.parametrize("number", range(len(gestures())), ids=lambda number: f"{gestures()[number].name}-{number}")
 def test_every_gesture_is_whole(number):
     one = gestures()[number]
-    assert {actions_of(text) for text in one.texts} == {(one.name,)}
-    for text in one.texts:
-        found = understood(text)
-        assert found.ok and not found.unknown
+    if lexicon().actions[one.name].said:  # else it is the reader that names it
+        assert {actions_of(text) for text in one.texts} == {(one.name,)}
+        for text in one.texts:
+            found = understood(text)
+            assert found.ok and not found.unknown
     motion = gesture_motion(one)
     rotations, positions = motion.world()
     assert len(motion) == round(20 * one.seconds) + 1

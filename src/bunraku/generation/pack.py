@@ -74,6 +74,11 @@ class Example:
         return self.name.startswith(MADE)
 
     @property
+    def gesture(self) -> str:
+        """The action of a gesture, which its name says; "" where it says none, and for captured examples."""
+        return self.name.removeprefix(MADE).rpartition("_")[0].replace("_", " ") if self.made else ""
+
+    @property
     def idle(self) -> bool:
         """Whether it is of a person who stands, shifts the weight and breathes."""
         return self.name.endswith(IDLE)
@@ -109,9 +114,11 @@ class Said(NamedTuple):
 
 
 @functools.lru_cache(maxsize=4096)
-def said_by(texts: tuple[str, ...]) -> Said:
-    """What the sentences of an example say."""
+def said_by(texts: tuple[str, ...], gesture: str = "") -> Said:
+    """What the sentences of an example say; the action of a `gesture` is its name."""
     cues, traits = (frozenset[str]().union(*map(read, texts)) for read in (said_cues, said_traits))
+    if gesture:
+        return Said(frozenset((gesture,)), cues, traits)
     actions = frozenset(main_actions(texts))
     besides = frozenset(actions_of(texts[0])) if texts else frozenset[str]()
     return Said(actions, cues, traits, besides - actions)
@@ -141,10 +148,7 @@ class ExamplePack:
         """The actions of gestures by their names, so that their sentences need not be read; "" where a name says none,
         and for captured examples.
         """
-        return tuple([
-            name.removeprefix(MADE).rpartition("_")[0].replace("_", " ") if name.startswith(MADE) else ""
-            for name in [example.name for example in self.examples]
-        ])  # fmt: skip
+        return tuple([example.gesture for example in self.examples])
 
     @functools.cached_property
     def handled(self) -> tuple[int, ...]:
@@ -184,7 +188,9 @@ class ExamplePack:
     @functools.cached_property
     def said(self) -> Sequence[Said]:
         """What the sentences of each example say."""
-        return [said_by(example.texts) for example in self.examples] if self.readings is None else self.readings
+        if self.readings is not None:
+            return self.readings
+        return [said_by(example.texts, example.gesture) for example in self.examples]
 
     def nearness(self, vector: np.ndarray, mirrored: bool) -> tuple[np.ndarray, np.ndarray]:
         """The cosines (E,) of the ranker's unit vector (V,) of a sentence with the nearest sentence of each example,

@@ -33,6 +33,7 @@ from bunraku.generation.pack import (
     fingerprint,
     packed_stretch,
     read_pack,
+    said_by,
     write_pack,
 )
 from bunraku.generation.verifier import SIDES, Track
@@ -299,13 +300,15 @@ def _with_what_it_lacks(
         found += captured
     texts, motions, owners = _vectors(found, ranker, encoder) if found else (base.texts[:, :0], base.motions[:, :0], [])
     added = [one.skeleton or skeleton_from_handles(decode(one.features), rounds=1) for one in found]
+    examples = tuple(Example(one.name, one.texts, len(one.features), one.loop) for one in found)
     pack = ExamplePack(
-        base.examples + tuple(Example(one.name, one.texts, len(one.features), one.loop) for one in found),
+        base.examples + examples,
         base.data + tuple(packed_stretch(one.root_translation, one.rotations) for one in added),
         np.concatenate([base.owners, np.asarray(owners, np.int32) + len(base.examples)]),
         np.concatenate([base.texts, texts], axis=1),
         np.concatenate([base.motions, motions], axis=1),
         base.ranker,
+        readings=[*base.said, *[said_by(example.texts, example.gesture) for example in examples]],
     )
     notes = load_checkpoint(settings.add_to, KIND)[1]["notes"]
     licences.update(notes["licences"])
