@@ -354,6 +354,8 @@ def test_first_attempts_are_answered_sensibly(fails, good, monkeypatch):
     monkeypatch.chdir(good.parent)
     assert "where a sentence is expected; the character comes first" in fails("animate", "walks", good.name)
     assert "`bunraku samples person -o .` writes the sample" in fails("animate", "person", "walks")
+    assert 'stands in quotes: "walks forward"' in fails("animate", good.name, "walks", "forward")
+    assert "download it first" in fails("animate", "https://example.org/a.glb", "walks")
     assert "did you mean `bunraku animate good.glb ...`?" in fails(good.name, "walks")
     assert "no option '--play'; `bunraku clips --help` lists them" in fails("clips", "dance", "--play")
 

@@ -3,12 +3,14 @@ they are there.
 """
 
 import io
+import json
+import struct
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from gltf_files import CUBE, CUBE_FACES, Maker, made_up_handles, made_up_motion
+from gltf_files import CUBE, CUBE_FACES, Maker, glb_bytes, made_up_handles, made_up_motion
 from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tools" / "check_viewers"))
@@ -114,6 +116,17 @@ def test_a_character_without_motion(person, tmp_path):
     assert plain.rig is None and np.abs(plain.vertices - person.vertices).max() < 1e-6
     rigged = load_character(save_character(person, tmp_path / "rigged.fbx", rig=True))
     assert rigged.rig.names == person.rig.names
+
+
+def test_names_that_no_text_can_hold_are_repaired_where_they_are_read(person, tmp_path):
+    path = save_character(person, tmp_path / "person.glb", rig=True)
+    data = path.read_bytes()
+    size = struct.unpack_from("<I", data, 12)[0]
+    tree = json.loads(data[20 : 20 + size])
+    tree["nodes"][tree["skins"][0]["joints"][0]]["name"] = "bone\ud800"
+    path.write_bytes(glb_bytes(tree, data[28 + size :]))
+    written = save_character(load_character(path), tmp_path / "person.fbx", rig=True)
+    assert load_character(written).rig.names[0] == "bone\ufffd"
 
 
 def test_engine_skeletons(tmp_path):

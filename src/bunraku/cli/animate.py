@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache, lru_cache, partial
 from pathlib import Path
@@ -368,9 +368,24 @@ class Animate(GeneratingOptions):
             if self.character.is_dir() and len(self.prompt) > 1:
                 raise OptionError("a folder of characters takes one prompt, or the lines of --prompts")
             several = self.add or len(self.prompt) > 1
+            _check_quotes(self.prompt)
             prompts = self.prompt or ("",)
             return [check_sequence(prompt, self.sampling.seconds, self.force, several) for prompt in prompts]
         return read_lines(self.prompts, self.sampling.seconds, self.force, self.one_file)
+
+
+def _check_quotes(words: Sequence[str]) -> None:
+    """Raise OptionError where words that are clips of their own make sense as a sentence only."""
+    from bunraku.language.parse import parse
+
+    def clear(text: str) -> bool:
+        sentence = parse(text, 2.0, True)
+        return not (sentence.notes or sentence.unknown)
+
+    if len(words) > 1 and all(word.isalpha() for word in words):
+        whole = " ".join(words)
+        if not all(map(clear, words)) and clear(whole):
+            raise OptionError(f'a sentence of several words stands in quotes: "{whole}"')
 
 
 def _clips(verb: Animate, clips: list[Clip]) -> Iterator[str]:

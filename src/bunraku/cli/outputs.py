@@ -141,6 +141,8 @@ def check_input(path: Path) -> None:
     from bunraku.core import files
     from bunraku.files import sample_files
 
+    if not path.exists() and path.parts[:1] in (("http:",), ("https:",)):
+        raise FormatError(path, "files are read from this machine; download it first")
     if not path.exists() and str(path) in sample_files():
         raise FormatError(path, f"there is no such file; `bunraku samples {path} -o .` writes the sample")
     files.check_input(path)

@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bunraku.core.body.layout import HANDLE_COUNT, kept_handles
+from bunraku.core.geometry.curves import smooth_step
 from bunraku.core.motion import HandleMotion
 from bunraku.core.travel import FADE, GroundPath, _fade, moved, placed_at, put_back, put_back_runs
 from bunraku.errors import MotionError, OptionError
-from bunraku.generation.candidates import SamplingSettings, arrive, draw_candidates, frames_of, way_of
+from bunraku.generation.candidates import MADE_UNTIL, SamplingSettings, arrive, draw_candidates, frames_of, way_of
 from bunraku.generation.features import FEATURE_SIZE, FeatureStatistics, decode, encode, feature_mask
 from bunraku.language.parse import clauses_of
 from bunraku.language.sentence import Clause
@@ -23,7 +24,7 @@ from bunraku.language.sentence import Clause
 if TYPE_CHECKING:
     from bunraku.generation.candidates import Candidate
     from bunraku.generation.denoiser import Denoiser
-    from bunraku.generation.guide import GuidanceExample, GuidanceExamples
+    from bunraku.generation.guide import GuidanceExample, GuidanceExamples, Guide
 
 _APART = 1_000_003  # between the noise of a motion's candidates, so that none is that of another motion of the batch
 
@@ -248,8 +249,9 @@ def edit_motion(
     low, high = max(first - AROUND, 0), min(after + AROUND, len(motion))
     part = motion.take(slice(low, high))
     generated = _generate(
-        part, [(start - low, stop - low) for start, stop in runs], handles, [clause.text], [high - low], seed, how
-    )
+        part, [(start - low, stop - low) for start, stop in runs], handles, [clause.text], [high - low], seed, how,
+        model,
+    )  # fmt: skip
     kept = np.setdiff1d(np.arange(low, high), np.concatenate([np.arange(*run) for run in runs]))
     anchor = int(kept[0]) - low if len(kept) else 0  # a kept frame where there is one
     generated = placed_at(generated, anchor, part, anchor)
@@ -274,21 +276,66 @@ def continue_motion(motion: HandleMotion, script: Sequence[Clause], *, seed: int
         WeightsError: The weights are missing or broken.
     """
     how = SamplingSettings(**sampling)
-    model = how.networks.denoiser
+    model = how.denoiser
     _check(motion, model)
-    lengths = frames_of([clause.seconds for clause in script], model.config.fps)
     past = min(len(motion), HISTORY)
     history = motion.take(slice(len(motion) - past, len(motion)))
+    script, guide = _following(history, script, seed, how, model)
+    lengths = frames_of([clause.seconds for clause in script], model.config.fps)
     frames = np.minimum(np.arange(past - 1 + sum(lengths)), past - 1)
     still = history.take(frames)
     lengths[0] += past - 1
     generated = _generate(
         still, [(past, len(frames))], np.zeros(HANDLE_COUNT, bool), [clause.text for clause in script], lengths, seed,
-        how,
+        how, model, guide,
     )  # fmt: skip
     generated = placed_at(generated, past - 1, history, past - 1).take(slice(past - 1, len(generated)))
     still = still.take(slice(past - 1, len(still)))
     return put_back(generated, still, np.zeros(HANDLE_COUNT, bool), 1, len(generated), fade=0)
+
+
+LOOKED = 30
+"""Frames of an action that goes on in which its continuation may be entered: a stride and a half at a walk."""
+AGO = 3
+"""Frames between the two poses in which what goes on should agree with what was before: legs then swing the same way.
+Chosen by eye.
+"""
+
+
+def _following(
+    history: HandleMotion, script: Sequence[Clause], seed: int, how: SamplingSettings, model: Denoiser
+) -> tuple[Sequence[Clause], Guide | None]:
+    """The clauses of a script as examples show them, and what its frames start from: the examples, of which one that
+    goes on is entered where it is most like the last poses. None where no example fits.
+    """
+    from bunraku.generation.guide import WEIGHTS, GuidanceExamples, Guide, goes_on
+    from bunraku.generation.networks import Texts
+
+    pack = how.networks.examples if how.examples else None
+    if pack is None or len(history) <= AGO:
+        return script, None
+    guidance = GuidanceExamples(pack, Texts.of(how.networks, [script], False, True, None).shown)
+    script = [part for clause in script for part in guidance.parted(clause)]
+    lengths = frames_of([clause.seconds for clause in script], model.config.fps)
+    shown = [clause if guidance.shows(clause) else clause.body for clause in script]
+    example = guidance.of(list(zip(shown, lengths, strict=True)), (seed, 0), 0)
+    if example is None:
+        return script, None
+    first = example.found[0]
+    more = LOOKED if first is not None and goes_on(pack, first) else 0
+    statistics, count = FeatureStatistics(model.mean, model.std), sum(lengths)
+    laid = example.on([lengths[0] + more, *lengths[1:]], count + more, statistics)
+    start = 0
+    if more:
+        past, scale = statistics.normalise(encode(history)), np.sqrt(WEIGHTS)
+        away = [
+            float(np.square((laid.values[[at, at + AGO]] - past[[-1 - AGO, -1]]) * scale).sum())
+            for at in range(more - AGO)
+        ]
+        start = int(np.argmin(away)) + AGO + 1
+    rise = smooth_step(np.minimum(np.arange(1, count + 1) / FADE, 1)).astype(np.float32)
+    rows = slice(start, start + count)
+    return script, Guide(laid.values[rows], laid.share[rows] * rise, laid.made[rows])
 
 
 def _check(motion: HandleMotion, model: Denoiser) -> None:
@@ -303,19 +350,17 @@ def _check(motion: HandleMotion, model: Denoiser) -> None:
 
 def _generate(
     original: HandleMotion, runs: Sequence[tuple[int, int]], handles: np.ndarray, texts: list[str], lengths: list[int],
-    seed: int, how: SamplingSettings,
+    seed: int, how: SamplingSettings, model: Denoiser, guide: Guide | None = None,
 ) -> HandleMotion:  # fmt: skip
     """All frames of the original with runs of frames generated anew, but for the kept handles; the root's path from x =
-    z = 0 facing +Z.
+    z = 0 facing +Z. A guide is of the last frames.
     """
     from bunraku.core.nn.layers import one_thread
-    from bunraku.generation.sampler import Steering, plan_windows, sample_plans
+    from bunraku.generation.sampler import LED_UNTIL, Steering, plan_windows, sample_plans
 
     if how.progress:
         how.progress("generate", 0.0)
-    networks = how.networks
-    model, encoder = networks.denoiser, networks.encoder
-    text = encoder.encode(texts)
+    text = how.networks.encoder.encode(texts)
     plan = plan_windows(lengths, model.config.frames)
     frames = len(original)
     statistics = FeatureStatistics(model.mean, model.std)
@@ -345,9 +390,17 @@ def _generate(
                 x0[first:after, :3] = (arrive(x0[first:after, :3] * std + mean, model.config.fps, *goal) - mean) / std
         return x0
 
+    led = None
+    if guide is not None:
+        start = frames - len(guide.values)
+        led = tuple(np.zeros((plan.frames, width), np.float32) for width in (FEATURE_SIZE, 1, 1))
+        until = np.where(guide.made, MADE_UNTIL, LED_UNTIL)
+        for array, of_guide in zip(led, (guide.values, guide.share[:, None], until[:, None]), strict=True):
+            array[start:frames] = of_guide
+
     with one_thread():
         mesh = how.mesh_features(model, len(text.mask))
-        steering = Steering(refine=refine, known=(held, share))
+        steering = Steering(guide=led, refine=refine, known=(held, share))
         (sample,) = sample_plans(model, text, [plan], how.solver, steering, seeds=seed, mesh_features=mesh)
     made = statistics.restore(sample.values[:frames])
     made[mask[:frames]] = features[mask[:frames]]

@@ -27,7 +27,6 @@ from bunraku.core.nn.layers import each_in_one_thread, one_thread
 from bunraku.core.request import SECONDS, Progress
 from bunraku.core.travel import GroundPath
 from bunraku.errors import CharacterError, FormatError, OptionError
-from bunraku.generation.candidates import SamplingSettings
 from bunraku.generation.networks import Networks
 from bunraku.language.sentence import Sentence, in_stretches
 from bunraku.pipelines.apply import (
@@ -43,6 +42,7 @@ from bunraku.pipelines.requests import RATE, Apparel, Constraints, InPlace, Loop
 from bunraku.retarget.stages import Stages
 
 if TYPE_CHECKING:
+    from bunraku.generation.candidates import SamplingSettings
     from bunraku.retarget.creatures import CreatureMotion
     from bunraku.retarget.rig_parts import RigParts
 
@@ -222,7 +222,7 @@ class Animator:
     ) -> AnimatedCharacter:
         """An animation whose motion of the reference body is changed before it is fitted to the body."""
         sentences, as_people = adapt_to_body([request.parsed], body.anatomy)
-        drawing = self._drawing(request, body.feature, as_people)
+        drawing = replace(self._drawing(request, body.feature, as_people), all_led=True)
         (motion,) = self._draw(sentences, [request.sampling.seed], request.constraints, None, drawing)
         return self._fitted(change(motion), sentences[0], body, request)
 
@@ -332,16 +332,16 @@ class Animator:
         return best
 
     def _anatomy(self, character: Character, handles: Handles | str) -> Anatomy:
-        """The measured anatomy of a character by its handles. The character keeps it where these are predicted, so that
-        its next sentence need not find them again.
+        """The measured anatomy of a character by its handles. The character keeps the last one, so that its next
+        sentence need not find them again.
         """
-        if handles != "predict":
-            return Anatomy.of(character, self.handles(character, handles)).measured()
-        kept: dict[object, Anatomy] = character.__dict__.setdefault("_anatomies", {})
-        network = dated_checkpoint("handles", self.predictor.checkpoint)
-        if network not in kept:
-            kept[network] = Anatomy.of(character, self.handles(character, handles)).measured()
-        return kept[network]
+        by = dated_checkpoint("handles", self.predictor.checkpoint) if handles == "predict" else handles
+        kept: tuple[object, Anatomy] | None = character.__dict__.get("_measured")
+        arrays = isinstance(by, Handles) or (kept is not None and isinstance(kept[0], Handles))
+        if kept is None or (kept[0] is not by if arrays else kept[0] != by):
+            kept = by, Anatomy.of(character, self.handles(character, handles)).measured()
+            character.__dict__["_measured"] = kept
+        return kept[1]
 
     @one_thread()
     def body(self, character: Character, request: Request) -> Body:
@@ -393,6 +393,8 @@ class Animator:
         )  # fmt: skip
 
     def _drawing(self, request: Request, feature: object | None, as_people: bool) -> SamplingSettings:
+        from bunraku.generation.candidates import SamplingSettings  # which a body's parts are found without
+
         how = request.sampling
         return SamplingSettings(
             how.steps, how.guidance, feature, self.progress, candidates=how.candidates, examples=as_people,

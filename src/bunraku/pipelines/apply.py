@@ -26,6 +26,7 @@ from bunraku.pipelines.requests import Constraints
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.locomotion import moved_so
 from bunraku.retarget.pins import meet_pins
+from bunraku.retarget.stages.feet import Feet
 
 if TYPE_CHECKING:
     from bunraku.retarget.rig_parts import RigParts
@@ -58,6 +59,8 @@ def apply_motion(
     fitted = fitted_motion(motion, anatomy, stages, loop)
     if before is not None:
         fitted = follow(fitted, before.motion)
+        if stages.feet:
+            fitted = Feet().continued(fitted, before.motion, anatomy)
     if constraints.in_place:
         fitted = in_place_motion(fitted, loop)
     if path is not None:

@@ -83,7 +83,7 @@ class Live(Iterator[AnimatedCharacter]):
         """The states of `_aim` of the frames of `_shown` that were given."""
         self._shown: AnimatedCharacter | None = None
         """What was drawn, of which `_next` is the frame that is given next; older frames are dropped."""
-        self._next = self._windows = self._dropped = 0
+        self._next = self._said = self._dropped = 0
         self._cut: int | None = None
         """The first frame that is to be drawn anew, since something was said."""
         self._lead, self._ahead, self._took = lead, ahead, 0.0
@@ -204,6 +204,7 @@ class Live(Iterator[AnimatedCharacter]):
 
     def _change(self, request: Request, direction: tuple[float, float] | None) -> None:
         with self._changed:
+            self._said += request is not self._now
             self._now, self.direction = request, direction
             lead = max(self._lead, 1.5 * self._took) if self._ahead else self._lead
             self._cut = self._next + math.ceil(lead * self.fps)
@@ -234,12 +235,11 @@ class Live(Iterator[AnimatedCharacter]):
             if past is not None:
                 past = past.take(slice(None, cut))
                 constraints = Constraints((Follow(past.take(slice(-PAST, None))),))
-            request = replace(said.with_seed(self._sampling.seed + self._windows), constraints=constraints)
+            request = replace(said.with_seed(self._sampling.seed + self._said), constraints=constraints)
             made: AnimatedCharacter = self._animator.steered(
                 self._body, request, lambda motion: _steered(motion, direction)
             )
             with self._changed:
-                self._windows += 1
                 if past is not None:
                     made = _joined(past, made)
                 over = max(0, self._next - round(KEPT * made.fps))
@@ -249,7 +249,8 @@ class Live(Iterator[AnimatedCharacter]):
                 self._aims = self._aims[over:]
                 if self._cut == cut and self._now is said:  # nothing was said meanwhile
                     self._cut = None
-                    self._now = said if is_cycle(said.parsed) else self._idle
+                    if not is_cycle(said.parsed):
+                        self._now, self._said = self._idle, self._said + 1
                 elif self._cut is not None:
                     self._cut -= over
                 self._took = time.perf_counter() - start

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -152,11 +153,21 @@ def handle_of_joints(
     Returns:
         Handle indices of `bunraku.core.body.layout.HANDLE_NAMES`, shape (J,); -1 where a name says nothing.
     """
+    places, masses = (None if array is None else np.asarray(array, float).tobytes() for array in (positions, mass))
+    return _handle_of_joints(tuple(names), tuple(int(parent) for parent in parents), places, masses).copy()
+
+
+@lru_cache(maxsize=16)  # each question about a rig begins with this one
+def _handle_of_joints(
+    names: tuple[str, ...], parents: tuple[int, ...], places: bytes | None, masses: bytes | None
+) -> np.ndarray:
+    positions = None if places is None else np.frombuffer(places).reshape(-1, 3)
+    mass = None if masses is None else np.frombuffer(masses)
     own = [re.sub(r"_[2-9]\d*$", "", name) for name in names]  # left_hip_2 moves the second left leg
     whole = len(names) == len(HANDLE_NAMES) or set(JOINT_NAMES) <= set(names)
     if whole and set(own) <= set(HANDLE_NAMES):  # a rig that Bunraku wrote: its "shoulder" is not a collar bone
         return np.array([_H[name] for name in own], np.int64)
-    tree = _Tree(without_prefix(names), list(parents), positions, mass)
+    tree = _Tree(without_prefix(names), parents, positions, mass)
     out = np.full(len(names), NO_HANDLE, np.int64)
     plain = {"head_top": "head_top", "face": "face", "neck": "neck", "head": "head", "hips": "pelvis"}
     sided = {"fingers": "fingers", "wrist": "wrist", "elbow": "elbow", "shoulder": "shoulder", "collar": "collar",

@@ -31,6 +31,10 @@ def foot_motion(points: np.ndarray, floor: float, soft: float) -> tuple[np.ndarr
     return steps, lowest - floor
 
 
+FIXED = 1e6
+"""Weight of the offset of a frame that stays as it is, far over every other weight."""
+
+
 @dataclass(frozen=True)
 class Feet(Stage):
     """Standing feet do not slide.
@@ -91,7 +95,7 @@ class Feet(Stage):
         motion, contacts = self.locked(fitting.motion, anatomy, None if fitting.source.own_height else fitting.source)
         return replace(fitting.moved(motion), contacts=contacts)
 
-    def contacts(self, motion: HandleMotion, anatomy: Anatomy) -> tuple[Contacts, np.ndarray]:
+    def contacts(self, motion: HandleMotion, anatomy: Anatomy, held: int = 0) -> tuple[Contacts, np.ndarray]:
         """The contacts of a motion, and the root's steps that are missing for standing feet to stay where they are in
         the mean.
 
@@ -100,6 +104,7 @@ class Feet(Stage):
         Args:
             motion: Of the character.
             anatomy: Of the character, with L legs.
+            held: So many frames at the beginning stay as they are.
 
         Returns:
             Contacts with steps that are still without the correction, and the correction along x and z of each step
@@ -139,7 +144,8 @@ class Feet(Stage):
                 )
             slowest = np.take_along_axis(step, (speed + self.hurry * (1 - trust)).argmin(axis=1)[:, None, None], axis=1)
             beside = np.linalg.norm(step - slowest, axis=-1) * unit
-            missing = self._root_steps(step, trust / (1 + (beside / self.apart) ** 4) / (1 + (speed / self.hurry) ** 2))
+            count_for_path = trust / (1 + (beside / self.apart) ** 4) / (1 + (speed / self.hurry) ** 2)
+            missing = self._root_steps(step, count_for_path, held)
         return Contacts(step, height, trust), missing
 
     def _parting(self, step: np.ndarray, speed: np.ndarray, near: np.ndarray, unit: np.ndarray) -> np.ndarray:
@@ -173,20 +179,23 @@ class Feet(Stage):
             if held[start] == value and end - start < self.short:
                 held[start:end] = not value
 
-    def _root_steps(self, steps: np.ndarray, trust: np.ndarray) -> np.ndarray:
-        """Steps of the root that cancel those of standing feet, smooth in time, shape (N - 1, 2)."""
+    def _root_steps(self, steps: np.ndarray, trust: np.ndarray, held: int) -> np.ndarray:
+        """Steps of the root that cancel those of standing feet, smooth in time, shape (N - 1, 2); none between the
+        first frames, which are held.
+        """
         total = trust.sum(axis=1)
         count = len(steps)
         band = np.zeros((2, count))
         band[1] = total + self.free
+        band[1, : max(held - 1, 0)] += FIXED
         band[1, :-1] += self.root_smooth
         band[1, 1:] += self.root_smooth
         band[0, 1:] = -self.root_smooth
         return solve_banded(band, -np.einsum("nl,nli->ni", trust, steps))
 
-    def _offsets(self, steps: np.ndarray, trust: np.ndarray) -> np.ndarray:
+    def _offsets(self, steps: np.ndarray, trust: np.ndarray, held: int) -> np.ndarray:
         """Offsets of one foot that cancel its steps (N - 1, 2) where it stands (N - 1,), smooth and small elsewhere,
-        shape (N, 2).
+        shape (N, 2); none in the first frames, which are held.
         """
         count = len(steps) + 1
         band = np.zeros((3, count))
@@ -194,6 +203,7 @@ class Feet(Stage):
         free[:-1] -= 0.5 * trust
         free[1:] -= 0.5 * trust
         band[2] = self.pull * free + 1e-4
+        band[2, :held] += FIXED
         held = self.hold * trust
         band[2, :-1] += held
         band[2, 1:] += held
@@ -204,8 +214,20 @@ class Feet(Stage):
         right[1:] -= held[:, None] * steps
         return solve_banded(band, right)
 
+    def continued(self, motion: HandleMotion, before: HandleMotion, anatomy: Anatomy) -> HandleMotion:
+        """A motion that begins in the last frame of another one, with the feet that stand there where they stood.
+
+        Args:
+            motion: Of the character, fitted without what was before.
+            before: Of the character, to its last frame.
+            anatomy: Of the character.
+        """
+        last, whole = before.take(slice(-1, None)), HandleMotion.joined([before, motion.take(slice(1, None))])
+        locked, _ = self.locked(whole, anatomy, held=len(before))
+        return HandleMotion.joined([last, locked.take(slice(len(before), None))])
+
     def locked(
-        self, motion: HandleMotion, anatomy: Anatomy, source: HandleMotion | None = None
+        self, motion: HandleMotion, anatomy: Anatomy, source: HandleMotion | None = None, held: int = 0
     ) -> tuple[HandleMotion, Contacts | None]:
         """The motion with standing feet held in place, and its contacts; None where it has no legs.
 
@@ -215,11 +237,12 @@ class Feet(Stage):
             source: The motion of the reference body whose path counts; None where the path may change. What steps are
                 shorter or longer than there the legs make up alone, step by step; what slides there on purpose
                 (`SLIDES`) is held here.
+            held: So many frames at the beginning stay as they are.
         """
         legs = anatomy.legs
         if not legs or len(motion) < 3:
             return motion, None
-        contacts, missing = self.contacts(motion, anatomy)
+        contacts, missing = self.contacts(motion, anatomy, held)
         path = motion.root_translation.astype(np.float64)
         if anatomy.has_extra_legs:  # legs that stand out sideways would push the body aside
             aside = matrix_y(heading(motion.root_rotation, motion.fps))[1:, [0, 2], 0]
@@ -237,7 +260,7 @@ class Feet(Stage):
         motion = replace(motion, root_translation=path)
         shifts = np.zeros((len(motion), len(legs), 3))
         for number, leg in enumerate(legs):
-            offsets = self._offsets(contacts.steps[:, number] + missing, contacts.stands[:, number])
+            offsets = self._offsets(contacts.steps[:, number] + missing, contacts.stands[:, number], held)
             away = np.linalg.norm(offsets, axis=1, keepdims=True) / (self.most * leg.length)
             shifts[:, number][:, [0, 2]] = offsets * np.tanh(away) / np.maximum(away, 1e-9)
         return with_feet_moved(motion, anatomy, legs, shifts), contacts

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import ClassVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -189,6 +190,10 @@ class _BodyPart:
     high: np.ndarray
 
 
+EDGE = 0.1
+"""How far over what is near a point may be outside of the boxes of all parts and still be looked at; chosen by eye."""
+
+
 class BodySurface:
     """The surface of a body without its arms, part by part in the rest pose.
 
@@ -209,7 +214,6 @@ class BodySurface:
         owner = handles.weights.argmax(axis=1)
         body = handles.weights[:, _BODY[handles.played]].sum(axis=1) > 0.7
         usable = mesh.surface & body & (size > 1e-12)
-        self._anatomy = anatomy
         self._positions = handles.positions
         self._parts = []
         for handle in np.unique(owner[usable]).tolist():
@@ -228,30 +232,36 @@ class BodySurface:
             near: Farther from a surface than this nothing is looked at [m].
 
         Returns:
-            Depths [m], negative outside, shape (N, m), and unit vectors in the world, shape (N, m, 3).
+            Depths [m], negative outside and minus infinity far from it, shape (N, m), and unit vectors in the world,
+            shape (N, m, 3).
         """
         world = motion.transforms(self._positions).astype(np.float64)
-        count, points = hands.shape[:2]
-        best = np.full((count, points), np.inf)
-        depth = np.full((count, points), -np.inf)
-        out = np.zeros((count, points, 3))
-        for part in self._parts:
-            turn, shift = world[:, part.handle, :, :3], world[:, part.handle, :, 3]
-            local = (hands - shift[:, None]) @ turn
-            beside = np.maximum(np.maximum(part.low - local, local - part.high), 0)
-            close = np.sqrt((beside**2).sum(axis=-1)) <= np.minimum(best, near)  # of others the box is too far already
-            frames, rows = np.nonzero(close)
+        beside = np.empty((len(self._parts), *hands.shape[:2]))
+        for number, part in enumerate(self._parts):
+            local = (hands - world[:, None, part.handle, :, 3]) @ world[:, part.handle, :, :3]
+            beside[number] = np.linalg.norm(np.maximum(np.maximum(part.low - local, local - part.high), 0), axis=-1)
+        best = np.full(hands.shape[:2], np.inf)
+        depth = np.full(hands.shape[:2], -np.inf)
+        out = np.zeros(hands.shape)
+        within = beside.min(axis=0, initial=np.inf) <= EDGE * near  # the others are outside of the body
+        for number, part in enumerate(self._parts):
+            frames, rows = np.nonzero(within & (beside[number] <= np.minimum(best, near)))
             if not len(frames):
                 continue
-            local = local[frames, rows]
+            turn = world[frames, part.handle, :, :3]
+            local = ((hands[frames, rows] - world[frames, part.handle, :, 3])[:, None] @ turn)[:, 0]
             away, index = part.tree.query(local, distance_upper_bound=near)
             deeper = away < best[frames, rows]  # none is at infinity
             frames, rows, index = frames[deeper], rows[deeper], index[deeper]
             best[frames, rows] = away[deeper]
             normals = part.normals[index]
             depth[frames, rows] = ((part.points[index] - local[deeper]) * normals).sum(axis=-1)
-            out[frames, rows] = (turn[frames] @ normals[..., None])[..., 0]
+            out[frames, rows] = (turn[deeper] @ normals[..., None])[..., 0]
         return depth, out
+
+
+_SURFACES: WeakKeyDictionary[Anatomy, BodySurface] = WeakKeyDictionary()
+"""Of bodies that were looked at before; the next sentence of a body need not find its surface again."""
 
 
 @dataclass(frozen=True)
@@ -290,7 +300,7 @@ class HandsClear(Stage):
 
     def cleared(self, motion: HandleMotion, anatomy: Anatomy) -> HandleMotion:
         """The motion with hands outside of the body."""
-        surface = BodySurface(anatomy)
+        surface = _SURFACES.get(anatomy) or _SURFACES.setdefault(anatomy, BodySurface(anatomy))
         scale, first = anatomy.scale, motion
         for arm in anatomy.arms:
             shift = np.zeros((len(motion), 3))
