@@ -30,6 +30,7 @@ from bunraku.generation.pack import (
     OWN,
     Example,
     ExamplePack,
+    Said,
     fingerprint,
     packed_stretch,
     read_pack,
@@ -44,7 +45,7 @@ from bunraku.language.encoders import TextEncoder, text_encoder
 from bunraku.language.lexicon import main_actions
 from bunraku.language.vocabulary import is_known, own_words, words_of, write_own_words
 from bunraku_lab.datasets.motions.build import split_of
-from bunraku_lab.datasets.motions.clips import load_watched
+from bunraku_lab.datasets.motions.clips import action_labels, load_watched
 from bunraku_lab.description.phrases import runs
 from bunraku_lab.description.wording import computed_sentence, inside
 from bunraku_lab.training.rows.clip_rows import ClipSet, Mixture, standing_stretches
@@ -237,7 +238,7 @@ def build_examples(
     place_of = {index: number for number, index in enumerate(kept)}
     pack = ExamplePack(
         examples, tuple(data), np.array([place_of[owner] for owner in owners[chosen].tolist()], np.int32),
-        texts[:, chosen], motions[:, kept], fingerprint(path),
+        texts[:, chosen], motions[:, kept], fingerprint(path), readings=shown_by(examples),
     )  # fmt: skip
     licences = Counter(
         "Apache-2.0" if one.made else str(clips[one.name.split("#")[0]].get("licence", "unknown")) for one in examples
@@ -300,21 +301,35 @@ def _with_what_it_lacks(
         found += captured
     texts, motions, owners = _vectors(found, ranker, encoder) if found else (base.texts[:, :0], base.motions[:, :0], [])
     added = [one.skeleton or skeleton_from_handles(decode(one.features), rounds=1) for one in found]
-    examples = tuple(Example(one.name, one.texts, len(one.features), one.loop) for one in found)
+    examples = base.examples + tuple(Example(one.name, one.texts, len(one.features), one.loop) for one in found)
     pack = ExamplePack(
-        base.examples + examples,
+        examples,
         base.data + tuple(packed_stretch(one.root_translation, one.rotations) for one in added),
         np.concatenate([base.owners, np.asarray(owners, np.int32) + len(base.examples)]),
         np.concatenate([base.texts, texts], axis=1),
         np.concatenate([base.motions, motions], axis=1),
         base.ranker,
-        readings=[*base.said, *[said_by(example.texts, example.gesture) for example in examples]],
+        readings=shown_by(examples),
     )
     notes = load_checkpoint(settings.add_to, KIND)[1]["notes"]
     licences.update(notes["licences"])
     frames = sum(one.frames for one in pack.examples)
     write_pack(settings.out, pack, notes | {"licences": dict(licences), "frames": frames})
     return pack
+
+
+def shown_by(examples: Sequence[Example]) -> list[Said]:
+    """What each example shows: of a captured stretch the actions that people found in its captions, of a gesture its
+    own, of others what the lexicon reads.
+    """
+    labels, readings = action_labels(), []
+    for example in examples:
+        said = said_by(example.texts, example.gesture)
+        if example.name in labels:
+            actions, besides = map(frozenset, labels[example.name])
+            said = said._replace(actions=actions or frozenset(("other",)), besides=besides - actions)
+        readings.append(said)
+    return readings
 
 
 def _asked(folder: Path) -> dict[str, tuple[str, ...]]:
@@ -340,12 +355,17 @@ def _with_asked(
     return replace(pack, texts=np.concatenate([pack.texts, vectors], axis=1), owners=owners)
 
 
+EACH = 4
+"""Stretches of each action that stay whatever else would fill the bytes, so that candidates and seeds differ."""
+
+
 def _widest(
     base: ExamplePack, found: list[_Stretch], ranker: Extractor, encoder: TextEncoder, most: int
 ) -> tuple[ExamplePack, list[_Stretch]]:
     """A pack without the captured stretches that others in it replace best, but for those of the clip library, and of
-    new ones those that show what it does not, until its captured motion has `most` bytes: each time the stretch is
-    taken, of all that are there, to which the most sentences come nearer for its bytes.
+    new ones those that show what it does not, until its captured motion has `most` bytes: first some that show each
+    action alone (`EACH`), and then each time the stretch, of all that are there, to which the most sentences come
+    nearer for its bytes.
     """
     texts = _sentence_vectors([text for one in found for text in one.texts + one.asked], ranker, encoder)[0]
     owners = np.array([index for index, one in enumerate(found) for _ in one.texts + one.asked], int)
@@ -364,6 +384,15 @@ def _widest(
     left = most - sum(bytes_of[index] for index in ours if not base.examples[index].made)
     kept: list[int] = []
     gains = np.full(len(stretches), np.inf)
+    shown = Counter(said.actions for said in shown_by([base.examples[index] for index in ours]))
+    rows = [*base.examples, *(Example(one.name, one.texts, len(one.features)) for one in found)]
+    for place, said in enumerate(shown_by([rows[index] for index in stretches])):
+        if len(said.actions) == 1 and not said.besides and shown[said.actions] < EACH:
+            shown[said.actions] += 1
+            covered = np.maximum(covered, near[:, place])
+            left -= bytes_of[stretches[place]]
+            kept.append(stretches[place])
+            gains[place] = -1
     while True:
         place = int(np.argmax(gains))
         if gains[place] <= 0 or left <= 0:

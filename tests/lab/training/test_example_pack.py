@@ -127,7 +127,7 @@ def test_a_pack_gets_the_gestures_that_it_lacks(swings, ranker, encoder, tmp_pat
     less = replace(
         whole, examples=tuple(whole.examples[index] for index in kept), data=tuple(whole.data[index] for index in kept),
         owners=np.array([kept.index(owner) for owner in whole.owners.tolist() if owner in kept], np.int32),
-        texts=whole.texts[:, np.isin(whole.owners, kept)], motions=whole.motions[:, kept],
+        texts=whole.texts[:, np.isin(whole.owners, kept)], motions=whole.motions[:, kept], readings=None,
     )  # fmt: skip
     notes = load_checkpoint(tmp_path / "whole.safetensors", KIND)[1]["notes"]
     licences = notes["licences"] | {"Apache-2.0": notes["licences"]["Apache-2.0"] - 2}

@@ -119,6 +119,19 @@ def plain(sentence: str) -> str:
     return sentence[:1].lower() + sentence[1:]
 
 
+@functools.cache
+def action_labels() -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
+    """The actions that people found in the captions of stretches, by "clip@first frame": those that it shows, in order,
+    and further ones that only the fullest caption names.
+    """
+    table = Path(__file__).with_name("action_labels.tsv").read_text(encoding="utf-8")
+    rows = [line.split("\t") for line in table.splitlines()]
+    return {
+        name: (tuple(filter(None, shows.split(", "))), tuple(filter(None, besides.split(", "))))
+        for name, shows, besides in rows
+    }
+
+
 def load_watched(folder: str | Path, frames: dict[str, int], fps: float = 20.0) -> dict[str, list[Stretch]]:
     """Stretches of each clip, with the sentences of `captions_asked.tsv` where the folder has it; nothing where it has
     no `captions_watched.json`.
