@@ -38,7 +38,7 @@ NEAR = 0.12
 MOTION = 0.15  # share of the cosine with the motion in a score, beside that with the nearest sentence
 EXTRA = 0.04  # by which an example counts for less for each thing that it shows and that was not requested
 NEAR_MADE = 0.05  # the same where the nearest is made by code, since captured ones show its action less plainly
-LEAST = 0.65  # least mean cosine of an example; a gesture counts that does the very action, however far its words are
+LEAST = 0.65  # least mean cosine of an example that does not do the very actions
 WALKING = 0.8  # the same for plain walks and runs, which the network does well by itself
 SAME = 0.9
 """Cosine of two sentences that mean the same, whatever words the lexicon finds in them. Not for a gesture made by code:
@@ -176,12 +176,15 @@ def _retrieved(
     times = clause.count or 1 if query.cues & _COUNTS & let_go else 1
     lacking: dict[str, None] = {}
     sided = any(cue.startswith(("left", "right")) for cue in query.cues)
-    least = WALKING if clause.actions and query.actions <= {"walk", "run"} else least or LEAST
+    gait = bool(clause.actions) and query.actions <= {"walk", "run"}
+    least = WALKING if gait else least or LEAST
+    read = pack.readings is not None and bool(clause.actions) and not gait  # by people
+    exact = np.array([read and said.actions == query.actions for said in pack.said], bool)
     found = []
     for mirrored in (False, True):
         near, moves = pack.nearness(vector, mirrored)
         score = near + MOTION * (moves - near)
-        for index in np.flatnonzero(pack.made | (score >= least)).tolist():
+        for index in np.flatnonzero(pack.made | exact | (score >= least)).tolist():
             made = bool(pack.made[index])
             if made and (not clause.actions or (mirrored and not sided)):  # it takes the hand that most people take
                 continue
