@@ -108,7 +108,9 @@ def retrieve(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> Retrieved
     offered, straight, rows = _offered(pack, clause, vector), not asks_to_turn(clause), lexicon().actions
     nearest = tuple(dict.fromkeys(rows[action].like or action for action in clause.actions))
     if not offered.found and nearest != clause.actions:
-        offered = _offered(pack, replace(clause, actions=nearest), vector)._replace(instead=nearest)
+        offered = _offered(pack, replace(clause, actions=nearest), vector)
+        plain = [one for one in offered.found if pack.made[one.number]]  # words tell nothing of what is captured here
+        offered = offered._replace(found=plain or offered.found, instead=nearest)
     return offered._replace(found=[example._replace(straight=straight) for example in offered.found])
 
 
