@@ -142,6 +142,17 @@ def test_what_no_example_does_is_shown_by_what_is_nearest_to_it(pack):
     assert ([one.number for one in result.found], result.instead) == ([0], ())
 
 
+def test_what_only_the_reader_names_is_shown_by_its_own_gesture_and_not_by_a_hand_on_a_thing(pack):
+    names = ("gesture_drive_a_car_7", "gesture_handle_8")
+    examples = tuple(replace(example, name=name) for example, name in zip(pack.examples, names, strict=True))
+    clause = replace(clause_of("a person drives a car"), actions=("drive a car",))
+    (found,) = retrieve(replace(pack, examples=examples, readings=None), clause, AXES[3]).found
+    assert (found.number, found.detail) == (0, None)
+    clause = replace(clause, actions=("open door",))  # which the lexicon's phrases say, too
+    (found,) = retrieve(replace(pack, examples=examples, readings=None), clause, AXES[3]).found
+    assert (found.number, found.detail) == (1, clause.detail)
+
+
 def test_a_sentence_without_a_known_action_takes_what_is_near(pack):
     assert names(pack, "hello", 0.8 * AXES[0] + 0.6 * AXES[3]) == [("wave", False)]
     assert names(pack, "hello", 0.5 * AXES[0]) == []

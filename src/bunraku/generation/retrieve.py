@@ -116,7 +116,8 @@ def retrieve(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> Retrieved
 
 def _offered(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> Retrieved:
     """Examples that show what a clause says. Described limbs are a gesture of their own, and what is done with a thing
-    one through the positions that it names, or as captured where it names none. Where no example shows everything,
+    one through the positions that it names, or as captured where it names none, or where the action, like driving a
+    car, is one that only the reader names and that an example shows. Where no example shows everything,
     those count that show it once, to be repeated, those with the right limb, whichever way its movement goes, and those
     of people who stand, for what is done sitting.
 
@@ -130,7 +131,9 @@ def _offered(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> Retrieved
         return Retrieved(_described(pack, clause, clause.detail) or described)
     if clause.limbs_meanwhile is not None:
         return Retrieved([])  # what else is done is shown apart
-    if described and not isinstance(clause.detail, Posing) and says_more(clause.detail):
+    rows = lexicon().actions
+    named = bool(clause.actions) and not any(rows[action].said for action in clause.actions)  # the reader did: to drive
+    if described and not named and not isinstance(clause.detail, Posing) and says_more(clause.detail):
         return Retrieved(described)
     found = _retrieved(pack, clause, vector, frozenset())
     if described and not found.found:
