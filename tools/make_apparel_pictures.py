@@ -1,8 +1,8 @@
 """Make the pictures of learned apparel: `python tools/make_apparel_pictures.py [--files gene.pmx uka.pmx]`.
 
 A character of the wardrobe in a long skirt with long hair, of which only the mesh is kept, dances as a sentence says:
-`docs/pictures/apparel-learned.png` and, moving, `apparel-learned.webp`. With `--files`, avatars with physics in a dance
-made by code, simulated above and learned below: `apparel-files.png`.
+`docs/pictures/apparel-learned-frames.png` and, moving, `apparel-learned.webp`. With `--files`, avatars with physics in
+a dance made by code, simulated above and learned below: `apparel-files.png`.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def dance() -> None:
     """The generated dance on a mesh without a rig, as a sheet and as a moving picture."""
     character = replace(wardrobe_character(SEED), name="a mesh in a long skirt, with long hair", rig=None, source=None)
     moved = bunraku.animate(character, PROMPT, seconds=SECONDS, seed=1, apparel="learn")
-    save_preview(moved, OUT / "apparel-learned.png", size=(180, 260), frames=10, columns=5)
+    save_preview(moved, OUT / "apparel-learned-frames.png", size=(180, 260), frames=10, columns=5)
     save_preview(moved, OUT / "apparel-learned.webp", size=(240, 320), fps=10)
 
 

@@ -21,9 +21,9 @@ from typing import Any
 from bunraku_lab.evaluation.tables.paper_table import EITHER_WAY, NAMES, measured_table
 
 PICTURES = {
-    ("tapmo", 1): ("tables-tapmo-1.png", "The same sentence and seed on the reference body"),
-    ("tapmo", 2): ("tables-tapmo-2.png", "The same sentence and seed on Rogue Hooded of KayKit, which no training saw"),
-    ("mmdmc", 2): ("tables-mmdmc.png", "The same dance of a character of the wardrobe, simulated and by each way"),
+    ("tapmo", 1): ("tables-tapmo-1.webp", "The same sentence and seed on the reference body"),
+    ("tapmo", 2): ("tables-tapmo-2.webp", "The same sentence and seed on KayKit's Rogue Hooded, which no training saw"),
+    ("mmdmc", 2): ("tables-mmdmc.webp", "The same dance of a character of the wardrobe, simulated and by each way"),
 }
 """Of the first table of each number, made by `tools/make_tables_pictures.py`."""
 CONCLUSIONS = {
