@@ -6,6 +6,8 @@ Each sample is a GLB file beside this module with smooth normals and one materia
 
 from __future__ import annotations
 
+import json
+import struct
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,8 +19,8 @@ if TYPE_CHECKING:
 
 __all__ = ["sample_bytes", "sample_character", "sample_file", "sample_files", "sample_names"]
 
-_MESH = "knight.obj"
-_OTHERS = (_MESH, "hero.glb", "avatar.vrm", "walk.bvh", "ten.txt")
+_MESH, _HERO, _AVATAR = "knight.obj", "hero.glb", "avatar.vrm"
+_OTHERS = (_MESH, _HERO, _AVATAR, "walk.bvh", "ten.txt")
 """What else the docs use: the person as a bare mesh, on the skeletons of Mixamo and of VRM, a walk, ten prompts."""
 _NAMES = ("person", "dancer", "dog", "mushroom", "robot", "dragon")
 
@@ -55,7 +57,26 @@ def sample_bytes(file: str) -> bytes:
 
         person = sample_character("person")
         return obj_frame(person)(person.vertices)
+    if file == _HERO:
+        return _with_mixamo_names(read_bounded(Path(__file__).with_name(_AVATAR)))
     return read_bounded(Path(__file__).with_name(file))
+
+
+def _with_mixamo_names(avatar: bytes) -> bytes:
+    """The GLB of a VRM file whose bones have Mixamo's names."""
+    from bunraku.core.body.layout import engine_names
+
+    end = 20 + int.from_bytes(avatar[12:16], "little")
+    tree = json.loads(avatar[20:end])
+    names = dict(zip(engine_names("vrm"), engine_names("mixamo"), strict=True))
+    for node in tree["nodes"]:
+        node["name"] = names.get(node["name"], node["name"])
+    del tree["extensions"]
+    tree["extensionsUsed"].remove("VRMC_vrm")
+    text = json.dumps(tree, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    head = struct.pack("<4s4I", b"glTF", 2, 20 + len(text) + len(avatar) - end, len(text), 0x4E4F534A)
+    return head + text + avatar[end:]
 
 
 @checked
