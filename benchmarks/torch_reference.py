@@ -25,7 +25,8 @@ import torch
 
 import bunraku
 from bunraku.anatomy.handles import predict
-from bunraku.anatomy.handles.networks import HandlePrediction, OrderedGraph
+from bunraku.anatomy.handles.networks import HandlePrediction
+from bunraku.anatomy.handles.networks import MeshGraph as OrderedGraph
 from bunraku.anatomy.handles.predict import Predictor
 from bunraku.core.nn.checkpoints import load_checkpoint, shipped_checkpoint
 from bunraku.generation.denoiser import RetrievedExamples, load_few_steps

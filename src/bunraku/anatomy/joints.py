@@ -131,19 +131,21 @@ def refined_joints(character: Character, handles: Handles, joints: Joints, rotat
     areas = character.areas
     positions = joints.positions.copy()
     h = handles.positions.astype(np.float64)
-    for handle in range(1, len(body.joints)):
-        parent = int(joints.parents[handle])
-        if not joints.present[handle] or parent != HANDLE_PARENTS[handle]:
-            continue
+    pairs = [
+        (handle, int(joints.parents[handle]))
+        for handle in range(1, len(body.joints))
+        if joints.present[handle] and joints.parents[handle] == HANDLE_PARENTS[handle]
+    ]
+    overlaps = _unbent(character, handles, areas, pairs, rotations, joints.positions)
+    for handle, parent in pairs:
         j = joints.positions[handle]
         moved = rotations[handle] @ (h[handle] - j) + rotations[parent] @ (j - h[parent])
         size = float(np.linalg.norm(moved) / np.linalg.norm(centres[handle] - centres[parent]))
         offset = (estimated.positions[handle] - body.joints[handle]) * size
-        unbent = _unbent(character, handles, areas, (handle, parent), rotations, j)
-        if unbent is None:  # the parts do not overlap
+        if handle not in overlaps:  # the parts do not overlap
             positions[handle] -= 0.5 * (rotations[handle] + rotations[parent]).T @ offset
             continue
-        where, unbend, mass = unbent
+        where, unbend, mass = overlaps[handle]
         unbend *= (mass / mass.sum())[:, None, None]
         centre = np.einsum("vij,vj->i", unbend, character.vertices[where].astype(np.float64))
         positions[handle] = np.linalg.solve(unbend.sum(axis=0), centre - offset)
@@ -170,30 +172,40 @@ def _bent_hips(positions: np.ndarray, present: np.ndarray, h: np.ndarray, rotati
 
 
 def _unbent(
-    character: Character, handles: Handles, areas: np.ndarray, pair: tuple[int, int], rotations: np.ndarray,
-    joint: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:  # fmt: skip
-    """The vertices of which a handle and its parent both hold a share (n,), what bends each of them back (n, 3, 3), and
-    the mass of each in the overlap, by its area when bent back (n,). None where there is no overlap.
+    character: Character, handles: Handles, areas: np.ndarray, pairs: Sequence[tuple[int, int]], rotations: np.ndarray,
+    joints: np.ndarray,
+) -> dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]]:  # fmt: skip
+    """For each handle of these pairs with its parent, the vertices of which both hold a share (n,), what bends each of
+    them back (n, 3, 3), and the mass of each in the overlap, by its area when bent back (n,). Handles that do not
+    overlap with their parents are left out.
     """
-    handle, parent = pair
-    own, above = handles.weights[:, handle].astype(np.float64), handles.weights[:, parent].astype(np.float64)
-    both = _shared(character.vertices, handles, areas, handle, parent)
-    if both is None:
-        return None
-    near = both > 1e-3 * both.max()
-    share = np.divide(own, own + above, out=np.zeros_like(own), where=near)
-    faces = character.faces[near[character.faces].any(axis=1)]
-    touched = np.unique(faces)
-    share[touched] = np.where(near[touched], share[touched], own[touched] > above[touched])
-    part = share[touched][:, None, None]
-    blend = (1 - part) * rotations[parent].T + part * rotations[handle].T
-    unbend = inverses(blend + 1e-9 * np.eye(3))
-    flat = np.zeros((len(own), 3))
-    flat[touched] = np.einsum("vij,vj->vi", unbend, character.vertices[touched] - joint)
-    kept = near[touched]
-    where = touched[kept]
-    return where, unbend[kept], both[where] * vertex_areas(flat, faces)[where]
+    shared: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
+    blends, corners, count = [np.zeros((0, 3, 3))], [np.zeros((0, 3), np.int64)], 0
+    for handle, parent in pairs:
+        own, above = handles.weights[:, handle].astype(np.float64), handles.weights[:, parent].astype(np.float64)
+        both = _shared(character.vertices, handles, areas, handle, parent)
+        if both is None:
+            continue
+        near = both > 1e-3 * both.max()
+        share = np.divide(own, own + above, out=np.zeros_like(own), where=near)
+        touched, faces = np.unique(character.faces[near[character.faces].any(axis=1)], return_inverse=True)
+        share[touched] = np.where(near[touched], share[touched], own[touched] > above[touched])
+        part = share[touched][:, None, None]
+        blends.append((1 - part) * rotations[parent].T + part * rotations[handle].T)
+        corners.append(faces.reshape(-1, 3) + count)
+        shared[handle] = touched, near[touched], both[touched]
+        count += len(touched)
+    unbend = inverses(np.concatenate(blends) + 1e-9 * np.eye(3))
+    flat, start = np.zeros((count, 3)), 0
+    for handle, (touched, _, _) in shared.items():
+        rows = slice(start, start := start + len(touched))
+        flat[rows] = np.einsum("vij,vj->vi", unbend[rows], character.vertices[touched] - joints[handle])
+    flat_areas, start = vertex_areas(flat, np.concatenate(corners)), 0
+    out = {}
+    for handle, (touched, kept, both) in shared.items():
+        rows = slice(start, start := start + len(touched))
+        out[handle] = touched[kept], unbend[rows][kept], both[kept] * flat_areas[rows][kept]
+    return out
 
 
 def attach_joints(rotations: np.ndarray, positions: np.ndarray, joints: Joints) -> tuple[np.ndarray, np.ndarray]:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bunraku.anatomy.handles.limbs import FAMILIES, SIDES, limb_handles
+from bunraku.anatomy.handles.limbs import ARMS, LEGS, SIDES
 from bunraku.anatomy.joints import Joints
 from bunraku.anatomy.rest_pose import upright
 from bunraku.core.animation import bone_order
@@ -37,7 +37,7 @@ _SPARE = (
     "right_collar", "head_top", "face", "spine3", "tail_tip",
 )  # fmt: skip
 """Handles of which a body on many legs can do without."""
-_PARTS = [limb_handles(side, family) for family in FAMILIES for side in SIDES]
+_PARTS = [*LEGS, *ARMS]
 _LEGS = len(_PARTS) // 2
 
 
@@ -394,7 +394,7 @@ class Reach(NamedTuple):
         return np.concatenate([skin(self.vertices, self.weights, part)[..., 1].min(axis=1) for part in parts])
 
 
-_HIND = [handle for side in SIDES for handle in limb_handles(side, FAMILIES[0])]
+_HIND = [*LEGS[0], *LEGS[1]]
 _ARMS = [HANDLE_NAMES.index(f"{side}_{part}") for side in SIDES for part in ("shoulder", "elbow")]
 _WINGS = [HANDLE_NAMES.index(f"{side}_wing") for side in SIDES]
 
@@ -510,7 +510,7 @@ def _all_limbs(handles: Handles, joints: Joints, further: list[list[int]]) -> li
     if not further:
         return []
     itself = joints.present & (handles.played == np.arange(len(handles.positions)))
-    plain = ([part for part in limb_handles(side, family) if itself[part]] for side in SIDES for family in FAMILIES)
+    plain = ([part for part in limb if itself[part]] for limb in (LEGS[0], ARMS[0], LEGS[1], ARMS[1]))
     return [limb for limb in plain if limb] + further
 
 

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from bunraku.core.geometry.graph import clean_mesh, mesh_parts, unique_edges
 from bunraku.core.nn.checkpoints import config_of, load_network
-from bunraku.core.nn.layers import Norm, Perceptron, Weights, gelu, through
+from bunraku.core.nn.layers import Norm, Weights, gelu, through
 
 PARTS = ("body", "hair", "skirt", "cape", "sleeve", "tail", "prop", "accessory", "ground")
 """Kinds of parts. A skirt is also a robe or the tails of a coat, a tail also an ear; ground is what a figure stands on
@@ -247,7 +247,7 @@ class _Near:
 class _Gather:
     def __init__(self, width: int, out: int, scale: float, weights: Weights):
         self._near = _Near(width, out, scale, weights.part("near"))
-        self._mix = Perceptron(weights.linear("mix", width + out, out), weights.linear("leave", out, out))
+        self._mix = weights.perceptron("mix leave", width + out, out, out)
 
     def __call__(self, x: np.ndarray, points: np.ndarray, count: int, index: np.ndarray) -> np.ndarray:
         near = self._near(x, points, count, index)
@@ -258,7 +258,7 @@ class _Beside:
     def __init__(self, width: int, weights: Weights):
         self._norm: Norm = weights.norm("norm", width)
         self._near = _Near(width, width, SCALES[1], weights.part("near"))
-        self._mix = Perceptron(weights.linear("mix", 2 * width, width), weights.linear("leave", width, width))
+        self._mix = weights.perceptron("mix leave", 2 * width, width, width)
 
     def __call__(self, x: np.ndarray, points: np.ndarray, index: np.ndarray) -> np.ndarray:
         own = self._norm(x)
@@ -280,19 +280,15 @@ class PartNetwork:
     def __init__(self, config: PartConfig, weights: Weights):
         self.config = config
         fine, middle, coarse = config.fine, config.middle, config.coarse
-        self._enter = Perceptron(weights.linear("enter.0", FEATURES, fine), weights.linear("enter.2", fine, fine))
+        self._enter = weights.perceptron("enter.0 enter.2", FEATURES, fine, fine)
         self._piece = weights.linear("piece", 2 * fine, fine)
         self._to_centres = _Gather(fine, middle, SCALES[0], weights.part("to_centres"))
         self._before = [_Beside(middle, weights.part(f"before.{number}")) for number in range(config.before)]
         self._to_tokens = _Gather(middle, coarse, SCALES[2], weights.part("to_tokens"))
-        self._where, self._norm_tokens = weights.linear("where", WAVES, coarse), weights.norm("norm_tokens", coarse)
-        self._layers = [
-            weights.part(f"layers.{number}").pre_norm(
-                "enter leave norm_a wide narrow norm_b", coarse, config.heads, 3 * coarse
-            )
-            for number in range(config.layers)
-        ]
-        self._norm = weights.norm("norm", coarse)
+        self._where = weights.linear("where", WAVES, coarse)
+        names = "enter leave norm_a wide narrow norm_b"
+        layers = weights.pre_norms("layers", config.layers, names, coarse, config.heads, 3 * coarse)
+        self._layers = [weights.norm("norm_tokens", coarse), *layers, weights.norm("norm", coarse)]
         self._down = weights.linear("down", middle + coarse, middle)
         self._after = [_Beside(middle, weights.part(f"after.{number}")) for number in range(config.after)]
         self._last = weights.linear("last", fine + middle, middle)
@@ -311,15 +307,15 @@ class PartNetwork:
         for block in self._before:
             y = block(y, centres, beside)
         z = self._to_tokens(y, centres, TOKENS, seen.gather_up[:, :GATHERED]) + self._where(waves(points[:TOKENS]))
-        z = through(self._layers, self._norm_tokens(z)[None])
-        z = _blended(self._norm(z[0]), seen.down, seen.down_shares)
+        z = through(self._layers, z[None])
+        z = _blended(z[0], seen.down, seen.down_shares)
         y += self._down(np.concatenate([y, z], axis=1))
         for block in self._after:
             y = block(y, centres, beside)
         y = _blended(y, seen.fine, seen.fine_shares)
         y = gelu(self._last(np.concatenate([x, y], axis=1)))
         y += gelu(self._whole(np.concatenate([y, _piece_mean(y, piece)], axis=1)))
-        return self._decoder[1](self._decoder[0](y))
+        return through(self._decoder, y)
 
 
 def waves(points: np.ndarray) -> np.ndarray:

@@ -155,22 +155,29 @@ def pack_steps(values: np.ndarray, order: int, filters: Sequence[dict[str, objec
     return lzma.compress(planes, lzma.FORMAT_RAW, filters=list(filters))
 
 
-def unpack_steps(data: bytes, rows: int, columns: int, order: int, filters: Sequence[dict[str, object]]) -> np.ndarray:
-    """Undo `pack_steps` in bounded memory, shape (rows, columns), int64.
+def unpack_steps(
+    packed: Sequence[bytes], rows: Sequence[int], columns: int, order: int, filters: Sequence[dict[str, object]]
+) -> np.ndarray:
+    """Undo `pack_steps` for several arrays in bounded memory, one below the other, shape (sum of rows, columns), int64.
 
     Raises:
         ValueError: The bytes were not packed so, or have another shape.
     """
-    size = 4 * rows * columns
-    try:
-        planes = lzma.LZMADecompressor(lzma.FORMAT_RAW, filters=list(filters)).decompress(data, size + 1)
-    except (lzma.LZMAError, EOFError) as error:
-        raise ValueError("these bytes were packed in another way") from error
-    if len(planes) != size:
-        raise ValueError("these bytes hold another number of rows")
-    folded = np.frombuffer(planes, np.uint8).reshape(4, -1).T.copy().view("<u4").reshape(columns, rows)
-    steps = folded.T.astype(np.int64)
-    values = np.where(steps & 1, -(steps + 1) // 2, steps // 2)
-    for _ in range(order):
-        values = np.cumsum(values, axis=0)
-    return values
+    out = np.empty((sum(rows), columns), np.int64)
+    start = 0
+    for data, count in zip(packed, rows, strict=True):
+        size = 4 * count * columns
+        try:
+            planes = lzma.LZMADecompressor(lzma.FORMAT_RAW, filters=list(filters)).decompress(data, size + 1)
+        except (lzma.LZMAError, EOFError) as error:
+            raise ValueError("these bytes were packed in another way") from error
+        if len(planes) != size:
+            raise ValueError("these bytes hold another number of rows")
+        folded = np.frombuffer(planes, np.uint8).reshape(4, -1).T.copy().view("<u4").reshape(columns, count)
+        steps = folded.T.astype(np.int64)
+        values = np.where(steps & 1, -(steps + 1) // 2, steps // 2)
+        for _ in range(order):
+            values = np.cumsum(values, axis=0)
+        out[start : start + count] = values
+        start += count
+    return out

@@ -10,7 +10,7 @@ import numpy as np
 
 from bunraku.core.avatars import MmdModel, VrmModel
 from bunraku.core.geometry.surface import vertex_areas
-from bunraku.core.motion import frozen_array
+from bunraku.core.motion import freeze
 from bunraku.errors import CharacterError
 
 
@@ -40,12 +40,10 @@ class Rig:
     def __post_init__(self) -> None:
         count = len(self.names)
         object.__setattr__(self, "names", tuple(self.names))
-        object.__setattr__(self, "parents", frozen_array(self.parents, (count,), "rig parents", np.int64))
-        object.__setattr__(
-            self, "transforms", frozen_array(self.transforms, (count, 4, 4), "rig transforms", np.float64)
-        )
-        object.__setattr__(self, "indices", frozen_array(self.indices, (None, None), "rig indices", np.int32))
-        object.__setattr__(self, "weights", frozen_array(self.weights, self.indices.shape, "rig weights"))
+        freeze(self, "rig", {
+            "parents": ((count,), np.int64), "transforms": ((count, 4, 4), np.float64),
+            "indices": ((None, None), np.int32), "weights": (np.shape(self.indices), np.float32),
+        })  # fmt: skip
         if count and (self.parents.max(initial=-1) >= count or self.parents.min(initial=-1) < -1):
             raise CharacterError("a rig joint names a parent that does not exist")
         if self.indices.size and (self.indices.min() < 0 or self.indices.max() >= count):
@@ -100,8 +98,7 @@ class Character:
         return f"<Character {self.name!r}: {len(self.vertices):,} vertices{bones}>"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "vertices", frozen_array(self.vertices, (None, 3), "vertices"))
-        object.__setattr__(self, "faces", frozen_array(self.faces, (None, 3), "faces", np.int64))
+        freeze(self, "", {"vertices": ((None, 3), np.float32), "faces": ((None, 3), np.int64)})
         count = len(self.vertices)
         if count == 0:
             raise CharacterError(f"{self.name}: the mesh is empty; export it again with its vertices")
@@ -123,7 +120,7 @@ class Character:
         if float(np.ptp(self.vertices, axis=0).max()) <= 0:
             raise CharacterError(f"{self.name}: all vertices are at one point; there is nothing to animate")
         if self.colors is not None:
-            object.__setattr__(self, "colors", frozen_array(self.colors, (count, 3), "colors", np.uint8))
+            freeze(self, "", {"colors": ((count, 3), np.uint8)})
         if self.rig is not None and len(self.rig.indices) != count:
             raise CharacterError(
                 f"{self.name}: the rig weights {len(self.rig.indices)} vertices but the mesh has {count}"
@@ -186,8 +183,9 @@ class Handles:
         return f"<Handles: {len(self.positions)} of {len(self.weights):,} vertices>"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "positions", frozen_array(self.positions, (None, 3), "handle positions"))
-        object.__setattr__(self, "weights", frozen_array(self.weights, (None, len(self.positions)), "handle weights"))
+        freeze(self, "handle", {
+            "positions": ((None, 3), np.float32), "weights": ((None, len(self.positions)), np.float32),
+        })  # fmt: skip
         if not np.isfinite(self.weights).all() or not np.isfinite(self.positions).all():
             raise CharacterError("handles must be finite")
         if np.abs(self.weights.sum(axis=1) - 1).max(initial=0) > 1e-3:
@@ -196,7 +194,7 @@ class Handles:
             raise CharacterError("of a body that does not bend each vertex is of one handle")
         if self.roles is not None:
             count = len(self.positions)
-            object.__setattr__(self, "roles", frozen_array(self.roles, (count,), "handle roles", np.int64))
+            freeze(self, "handle", {"roles": ((count,), np.int64)})
             if count and (self.roles[0] != 0 or self.roles[1:].min(initial=1) < 1 or self.roles.max() >= count):
                 raise CharacterError(
                     "handle 0 plays the root, and every other handle the part of one that exists and is not the root"

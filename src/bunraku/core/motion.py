@@ -46,6 +46,15 @@ def frozen_array(
 _array = partial(frozen_array, error=MotionError)
 
 
+def freeze(owner: object, what: str, fields: Mapping[str, tuple[tuple[int | None, ...], Any]]) -> None:
+    """Put read-only arrays of these shapes and types (`frozen_array`) in place of the fields of a frozen object, each
+    called "`what` field" in errors.
+    """
+    for name, (shape, dtype) in fields.items():
+        array = frozen_array(getattr(owner, name), shape, f"{what} {name}".strip(), dtype)
+        object.__setattr__(owner, name, array)
+
+
 def check_rate(fps: float) -> None:
     """Raise MotionError unless frames a second [1/s] are positive and finite."""
     if not 0 < fps < math.inf:
@@ -96,6 +105,11 @@ def line_up(joint: int, parents: Sequence[int] | np.ndarray) -> list[int]:
     while parents[out[-1]] >= 0:
         out.append(int(parents[out[-1]]))
     return out
+
+
+def lines_up(parents: Sequence[int]) -> list[list[int]]:
+    """`line_up` of every joint."""
+    return [line_up(joint, parents) for joint in range(len(parents))]
 
 
 def local_rotations(world: np.ndarray, parents: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ import json
 import math
 import re
 import types
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from numbers import Real
 from typing import (
@@ -46,6 +46,12 @@ class Limit:
             raise OptionError(f"{name or self.name} must be a number, not {_shown(value)}")
         if value is not None and not (math.isfinite(value) and self.low <= value <= self.high):
             raise OptionError(f"{name or self.name} must be from {self.low:g} to {self.high:g}, not {value:g}")
+
+
+def check_all(values: Iterable[tuple[Limit, float | None]], dashes: str = "") -> None:
+    """`Limit.check` of several numbers; `dashes` stand before their names in messages."""
+    for limit, value in values:
+        limit.check(value, f"{dashes}{limit.name}")
 
 
 SECONDS = Limit("seconds", 0.5, 120.0)

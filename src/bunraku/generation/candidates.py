@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bunraku.core.geometry.curves import gaussian, smooth_step
-from bunraku.core.request import CANDIDATES
+from bunraku.core.request import CANDIDATES, check_all
 from bunraku.core.request import GUIDANCE as GUIDANCE_LIMIT
 from bunraku.core.request import STEPS as STEP_LIMIT
 from bunraku.core.travel import GroundPath
@@ -200,9 +200,7 @@ class SamplingSettings:
     held: Networks | None = None
 
     def __post_init__(self) -> None:
-        CANDIDATES.check(self.candidates)
-        STEP_LIMIT.check(self.steps)
-        GUIDANCE_LIMIT.check(self.guidance)
+        check_all(((CANDIDATES, self.candidates), (STEP_LIMIT, self.steps), (GUIDANCE_LIMIT, self.guidance)))
 
     @property
     def networks(self) -> Networks:

@@ -20,15 +20,15 @@ from bunraku.core.nn.layers import (
     Condition,
     DecoderLayer,
     Memory,
-    Norm,
     Rotary,
     Weights,
+    decoded,
     hidden_by,
-    normed,
     rotary_positions,
     silu,
+    through,
     waves,
-)  # fmt: skip
+)
 from bunraku.errors import WeightsError
 from bunraku.generation.features import FEATURE_SIZE, ROOT_SIZE
 
@@ -199,7 +199,8 @@ class Denoiser:
         self.mesh_in = weights.linear("mesh_in", config.mesh_features, width)
         self.pooled_in = weights.linear("pooled_in", config.pooled_size, width)
         self.null_pooled, self.null_mesh = weights.array("null_pooled", width), weights.array("null_mesh", width)
-        self.step_in = weights.linear("step_in.0", width, width), weights.linear("step_in.2", width, width)
+        step_in = weights.perceptron("step_in.0 step_in.2", width, width, width)
+        self.step_in = step_in.first, silu, step_in.second
         self.motion_out = weights.linear("motion_out", width, config.features * patch)
         seen = width * (2 if config.adaptation_mesh else 1)
         self.adaptation_out = weights.linear("adaptation_out", seen, config.handles * 3 * patch)
@@ -349,7 +350,7 @@ class Denoiser:
 
     def _step(self, step: int) -> np.ndarray:
         """The diffusion step as the layers see it, shape (1, d)."""
-        return self.step_in[1](silu(self.step_in[0](waves(np.array([step], np.float32), self.config.width))))
+        return through(self.step_in, waves(np.array([step], np.float32), self.config.width))
 
     def hidden(self, x: np.ndarray, step: int, lengths: np.ndarray, condition: Condition) -> np.ndarray:
         """The last hidden states, which both heads read, shape (B, T, d) for T tokens; arguments as of `__call__`."""
@@ -359,11 +360,7 @@ class Denoiser:
         steer = self.steer(vector).reshape(len(x), 9, width)
         if self.steer_more is not None:
             steer = np.concatenate([steer, self.steer_more(vector).reshape(len(x), -1, width)], axis=1)
-        rotary = rotary_positions(np.arange(h.shape[1]), width // self.config.heads)
-        for index, layer in enumerate(self.layers):
-            h = layer(h, steer, rotary, real, condition, index)
-        scale, shift = np.split(self.final(vector)[:, None], 2, axis=-1)
-        return normed(h, Norm(1 + scale, shift))
+        return decoded(self.layers, h, steer, self.final(vector), real, condition)
 
 
 def joint_offsets(moves: np.ndarray, features: np.ndarray) -> np.ndarray:

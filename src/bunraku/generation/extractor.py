@@ -12,7 +12,7 @@ import numpy as np
 
 from bunraku.core.files import weights_file
 from bunraku.core.nn.checkpoints import config_of, dated_checkpoint, fitting_config, load_checkpoint
-from bunraku.core.nn.layers import Linear, Norm, Weights, gelu, gelu_slope, softmax, split_heads
+from bunraku.core.nn.layers import Linear, Norm, Perceptron, Weights, gelu, gelu_slope, softmax, split_heads
 from bunraku.generation.features import FEATURE_SIZE
 from bunraku.language.encoders import TextBatch, TextEncoder
 
@@ -79,12 +79,12 @@ class Extractor:
             _Layer(width, config.heads, inner, weights.part(f"motion_layers.{index}")) for index in range(config.layers)
         ]
         self._motion_norm = weights.norm("motion_norm", 2 * width)
-        self._motion_out = _ends(weights.part("motion_out"), config)
+        self._motion_out = weights.perceptron("motion_out.0 motion_out.3", 2 * width, width, config.embedding)
         self._text_in = weights.linear("text_in", config.text_size, width)
         self._text_layer = _Layer(width, config.heads, inner, weights.part("text_layers.0"))
         self._pooled_in = weights.linear("pooled_in", config.pooled_size, width)
         self._text_norm = weights.norm("text_norm", 2 * width)
-        self._text_out = _ends(weights.part("text_out"), config)
+        self._text_out = weights.perceptron("text_out.0 text_out.3", 2 * width, width, config.embedding)
         weights.array("log_scale")  # of the loss
 
     def motion(self, features: np.ndarray, lengths: np.ndarray) -> np.ndarray:
@@ -152,10 +152,9 @@ class _Layer:
     """A pre-norm transformer layer."""
 
     def __init__(self, width: int, heads: int, inner: int, weights: Weights):
-        self.heads = heads
-        self.norm_a, self.norm_b = weights.norm("norm_a", width), weights.norm("norm_b", width)
-        self.inside, self.outside = weights.linear("inside", width, 3 * width), weights.linear("outside", width, width)
-        self.wide, self.narrow = weights.linear("wide", width, inner), weights.linear("narrow", inner, width)
+        layer = weights.pre_norm("inside outside norm_a wide narrow norm_b", width, heads, inner)
+        self.heads, self.norm_a, self.norm_b = heads, layer.norm_a, layer.norm_b
+        self.inside, self.outside, self.wide, self.narrow = layer.own.enter, layer.own.leave, *layer.mix
 
     def __call__(self, x: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, Back]:
         """x (B, T, d), mask (B, T), True where real."""
@@ -213,11 +212,7 @@ def _normed(x: np.ndarray, norm: Norm) -> tuple[np.ndarray, Back]:
     return centred * norm.scale + norm.shift, back
 
 
-def _ends(weights: Weights, config: ExtractorConfig) -> tuple[Linear, Linear]:
-    return (weights.linear("0", 2 * config.width, config.width), weights.linear("3", config.width, config.embedding))
-
-
-def _ended(x: np.ndarray, norm: Norm, ends: tuple[Linear, Linear]) -> tuple[np.ndarray, Back]:
+def _ended(x: np.ndarray, norm: Norm, ends: Perceptron) -> tuple[np.ndarray, Back]:
     """Unit vectors of what was pooled, shape (B, 2 d) -> (B, E)."""
     normed, back_norm = _normed(x, norm)
     wide = ends[0](normed)

@@ -45,12 +45,12 @@ def body_handle_motion(motion: SkeletalMotion) -> HandleMotion:
     body, anatomy = reference_body(), reference_anatomy()
     world = motion.world()[0].astype(np.float64)
     root = world[:, 0]
-    rotations = np.tile(np.eye(3), (len(motion), HANDLE_COUNT, 1, 1))
+    rotations = np.tile(np.eye(3), (len(world), HANDLE_COUNT, 1, 1))
     rotations[:, 1:JOINT_COUNT] = np.swapaxes(root, -1, -2)[:, None] @ world[:, 1:]
     for handle in range(JOINT_COUNT, HANDLE_COUNT):
         rotations[:, handle] = rotations[:, HANDLE_PARENTS[handle]]
     rotations, translations = anatomy.attached(rotations)
-    scale = leg_length(body.joints) / max(leg_length(motion.skeleton.positions), 1e-9)
+    scale = body.legs / max(leg_length(motion.skeleton.positions), 1e-9)
     pelvis, position = body.joints[0].astype(np.float64), body.handles.positions[0].astype(np.float64)
     path = motion.root_translation * scale + np.einsum("nij,j->ni", root, position - pelvis) - position
     out = HandleMotion(translations, rotations, path, root, motion.fps)

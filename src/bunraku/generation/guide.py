@@ -382,7 +382,7 @@ class GuidanceExamples:
     def unseen(self, clause: Clause) -> tuple[str, str]:
         """A word for a clause's only action that no caption and no example has, and that action; "" and "" for none."""
         found = self._found.get(clause.text, [])
-        if len(clause.actions) != 1 or any(self.pack.examples[one.number].made for one in found):
+        if len(clause.actions) != 1 or self.pack.made[[one.number for one in found]].any():
             return "", ""
         word = unseen_word(clause.person, clause.actions[0])
         if not word or any(tells_all((word,), example.texts) for example in self.pack.examples):
@@ -439,14 +439,14 @@ class GuidanceExamples:
     def _begins_oddly(self, found: Found) -> bool:
         """Whether a person who stands as an example begins is bent, as between two exercises, or has a leg far up."""
         first = self.pack.features(found.number)[0]
-        if first[3] < -CROUCH or not self.pack.standing:
+        if first[3] < -CROUCH or not len(self._standing):
             return False
         return bool(np.sqrt(pose_distance(self._standing, first[3:])).min() > ODD)
 
     @functools.cached_property
     def _standing(self) -> np.ndarray:
         """Mean poses of the stretches of standing, shape (S, 268)."""
-        return np.stack(list(self.pack.standing_poses.values()))
+        return np.array(list(self.pack.standing_poses.values()))
 
     def _pose(self, found: Found, frame: int) -> np.ndarray:
         features = self.pack.features(found.number)[[frame]]

@@ -174,12 +174,12 @@ class ExamplePack:
     @functools.cached_property
     def idles(self) -> tuple[SkeletalMotion, ...]:
         """People who stand; gestures are made by them."""
-        return tuple([_skeletal(self, index) for index in self._standing_well if self.examples[index].idle])
+        return tuple(_skeletal(self, [index for index in self._standing_well if self.examples[index].idle]))
 
     @functools.cached_property
     def busy(self) -> tuple[SkeletalMotion, ...]:
         """People who stand and use their hands; gestures take their legs, trunk and head."""
-        return tuple([_skeletal(self, index) for index in self._standing_well if self.examples[index].busy])
+        return tuple(_skeletal(self, [index for index in self._standing_well if self.examples[index].busy]))
 
     @functools.cached_property
     def _standing_well(self) -> Sequence[int]:
@@ -224,29 +224,32 @@ def stand_well(pack: ExamplePack) -> list[int]:
     lifted = {
         index for index, features in zip(others, _encoded_at_once(pack, others), strict=True) if on_one_leg(features)
     }
-    return [
-        index for index in wordless
-        if (stands_well(_skeletal(pack, index)) if pack.examples[index].stands else index not in lifted)
-    ]  # fmt: skip
+    standing = [index for index in wordless if pack.examples[index].stands]
+    lifted |= {i for i, motion in zip(standing, _skeletal(pack, standing), strict=True) if not stands_well(motion)}
+    return [index for index in wordless if index not in lifted]
 
 
 def _encoded_at_once(pack: ExamplePack, indices: Sequence[int]) -> list[np.ndarray]:
     """Features of some examples but for their first frames' velocities, shape (N, 271) each."""
-    if not indices:
-        return []
-    lengths = [pack.examples[index].frames for index in indices]
-    packed = zip([pack.data[index] for index in indices], lengths, strict=True)
-    values = np.concatenate([_stretch_values(*one) for one in packed])
-    return np.split(_encoded(*_as_motion(values)), np.cumsum(lengths)[:-1])
+    root, rotations, ends = _unpacked(pack, indices)
+    return np.split(_encoded(root, rotations), ends) if indices else []
 
 
-def _skeletal(pack: ExamplePack, index: int) -> SkeletalMotion:
-    """The motion of an example."""
+def _skeletal(pack: ExamplePack, indices: Sequence[int]) -> list[SkeletalMotion]:
+    """The motions of some examples."""
     from bunraku.core.body.reference import reference_body
     from bunraku.core.motion import SkeletalMotion
 
-    root, rotations = unpacked_stretch(pack.data[index], pack.examples[index].frames)
-    return SkeletalMotion(reference_body().skeleton, rotations, root, FPS)
+    root, rotations, ends = _unpacked(pack, indices)
+    parts = zip(np.split(rotations, ends), np.split(root, ends), strict=True) if indices else ()
+    return [SkeletalMotion(reference_body().skeleton, *part, FPS) for part in parts]
+
+
+def _unpacked(pack: ExamplePack, indices: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Root (N, 3) and rotations (N, 22, 3, 3) of some examples in a row, and where each but the last ends."""
+    lengths = [pack.examples[index].frames for index in indices]
+    values = _stretch_values([pack.data[index] for index in indices], lengths)
+    return *_as_motion(values), np.cumsum(lengths)[:-1]
 
 
 @functools.lru_cache(maxsize=128)
@@ -280,7 +283,7 @@ def unpacked_stretch(data: bytes, frames: int) -> tuple[np.ndarray, np.ndarray]:
     Raises:
         WeightsError: The bytes are damaged.
     """
-    return _as_motion(_stretch_values(data, frames))
+    return _as_motion(_stretch_values([data], [frames]))
 
 
 def _as_motion(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -289,9 +292,9 @@ def _as_motion(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return values[:, :3] * _METRES, matrix_from_axis_angle(turns)
 
 
-def _stretch_values(data: bytes, frames: int) -> np.ndarray:
+def _stretch_values(data: Sequence[bytes], frames: Sequence[int]) -> np.ndarray:
     try:
-        if not 0 < frames <= MOST_FRAMES:
+        if not all(0 < count <= MOST_FRAMES for count in frames):
             raise ValueError
         return unpack_steps(data, frames, _NUMBERS, _ORDER, _FILTERS)
     except ValueError as error:

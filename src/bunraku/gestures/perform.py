@@ -266,13 +266,13 @@ def _times_of(
             parts.append((timed, start, tempo, size()))
             start += timed[-1][0] / tempo + random.uniform(*variation.pause)
         return parts, False
-    head = [key for key in keys if key[0] < repeat.start - 1e-6]
-    ends = keys[-1][0] > repeat.stop + 1e-6  # a crawl does not stop in the middle
-    tail = [key for key in keys if ends and key[0] > repeat.stop - 1e-6]
+    head, stop = [key for key in keys if key[0] < repeat.start - 1e-6], repeat.stop
+    ends = keys[-1][0] > stop + 1e-6  # a crawl does not stop in the middle
+    tail = [key for key in keys if ends and key[0] > stop - 1e-6]
     once = [key for key in keys if repeat.start - 1e-6 <= key[0] < repeat.start + repeat.period - 1e-6]
     if manner.closed:
         count = max(round(span * tempo / repeat.period), 1)
-        head, tail = [], [(repeat.stop, moved(once[0][1], [repeat.times * shift for shift in repeat.drift]))]
+        head, tail = [], [(stop, moved(once[0][1], [repeat.times * shift for shift in repeat.drift]))]
     around = sum(part[-1][0] - part[0][0] for part in (head + once[:1], tail) if len(part) > 1)
     finishes = bool(tail) and (bool(manner.count) or random.random() < 0.6)
     pauses = variation.pauses if head and not manner.closed else 0.0

@@ -124,9 +124,10 @@ def captured(motion: SkeletalMotion, at: np.ndarray) -> Standing:
         motion: Of the reference body's 22 joints, at rest where its feet are.
         at: Frames of it, which need not be whole, shape (N,).
     """
-    low = np.clip(at.astype(int), 0, max(len(motion) - 2, 0))
+    last = len(motion) - 1
+    low = np.clip(at.astype(int), 0, max(last - 1, 0))
     share = np.clip(at - low, 0, 1)
-    high = np.minimum(low + 1, len(motion) - 1)
+    high = np.minimum(low + 1, last)
     rest = reference_body().joints.astype(float)
     rotations, positions = (value.astype(float) for value in motion.world())
     facing = matrix_y(np.array(-np.mean(heading(rotations[:, 0], motion.fps))))
@@ -262,8 +263,8 @@ and how far toes bend up [degrees]; chosen by eye.
 """
 
 # Chosen by eye on sheets of gestures.
-_TRUNK = (("spine1", 0.3), ("spine2", 0.35), ("spine3", 0.35))
-_HEAD = (("neck", 0.4), ("head", 0.6))
+_TRUNK = {"spine1": 0.3, "spine2": 0.35, "spine3": 0.35}
+_HEAD = {"neck": 0.4, "head": 0.6}
 _OUT = {"left": np.array([1.0, 1, 1]), "right": np.array([-1.0, 1, 1])}
 
 
@@ -330,9 +331,9 @@ def _posed(keys: _Between, standing: Standing, rest: np.ndarray) -> tuple[np.nda
     upright = np.clip(1 - np.abs(keys.of(tracks.tilt)) / 20, 0, 1)  # a body that lies does not sway
     local[:, 1:] = _share(local[:, 1:], upright)
     lean, head = (keys.of(row) + angle for row, angle in ((tracks.lean, standing.lean), (tracks.head, standing.head)))
-    for parts, angles in ((_TRUNK, lean), (_HEAD, head)):
-        for name, part in parts:
-            local[:, AT[name]] = local[:, AT[name]] @ _angles(part * angles)
+    bends = _angles(np.stack([part * lean for part in _TRUNK.values()] + [part * head for part in _HEAD.values()]))
+    for name, bend in zip((*_TRUNK, *_HEAD), bends, strict=True):
+        local[:, AT[name]] = local[:, AT[name]] @ bend
     shrug = keys.of(tracks.shrug)
     for side, sign in SIDES:
         raised = keys.of(tracks.hands[side].raised)
@@ -362,8 +363,8 @@ def _share(rotations: np.ndarray, share: np.ndarray) -> np.ndarray:
 
 
 def _angles(degrees: np.ndarray) -> np.ndarray:
-    """Pitch ahead, yaw to the left, roll to the right side, as one rotation, shape (N, 3) -> (N, 3, 3)."""
-    x, y, z = matrix_from_axis_angle(np.radians(degrees.T)[..., None] * np.eye(3)[:, None])
+    """Pitch ahead, yaw to the left, roll to the right side, as one rotation, shape (..., 3) -> (..., 3, 3)."""
+    x, y, z = np.moveaxis(matrix_from_axis_angle(np.radians(degrees)[..., None] * np.eye(3)), -3, 0)
     return np.asarray(y @ x @ z)
 
 

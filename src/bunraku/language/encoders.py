@@ -102,7 +102,7 @@ class MiniLMEncoder:
     The forward pass is written out here because importing `transformers` for it takes 2.5 s, half of a whole `animate`;
     a test holds the two together.
 
-    Its weights come with Bunraku in float16, word pieces that no caption has in int8 (`weights/text.md`,
+    Its weights come with Bunraku in float16, word pieces that no caption has in steps (`weights/text.md`,
     `tools/pack_text_encoder.py`).
 
     Args:
@@ -130,13 +130,11 @@ class MiniLMEncoder:
                 words = (Path(folder) / "tokenizer.json").read_text(encoding="utf-8")
             self._tokenizer = WordPieces(words)
             with safe_open(path, framework="np") as file:
-                self._weights: dict[str, np.ndarray] = {}
-                for name in file.keys():  # noqa: SIM118
-                    if name not in (_WORDS, RARE):
-                        value = file.get_tensor(name)
-                        value = halves_of(value) if value.dtype == np.uint8 else value
-                        if value.dtype.kind == "f":
-                            self._weights[name] = value.astype(np.float32, copy=False)
+                read = {name: file.get_tensor(name) for name in {*file.keys()} - {_WORDS, RARE}}
+            halves_of(read, [name for name, value in read.items() if value.dtype == np.uint8])
+            self._weights = {
+                name: value.astype(np.float32, copy=False) for name, value in read.items() if value.dtype.kind == "f"
+            }
             # A third of the file, of which each sentence needs a few rows: only these become memory.
             words = safe_open(path, framework="np")
             self._words, self._rare = words.get_slice(_WORDS), words.get_slice(RARE) if folder is None else None
@@ -179,7 +177,9 @@ class MiniLMEncoder:
             return np.stack([np.asarray(self._words[number], np.float32) for number in numbers])
         found = np.empty((len(numbers), self.token_size), np.float32)
         known = [at for at, number in enumerate(numbers) if number < self._known]
-        found[known] = halves_of(np.stack([self._words[:, numbers[at]] for at in known], 1))
+        rows = {_WORDS: np.stack([self._words[:, numbers[at]] for at in known], 1)}
+        halves_of(rows, rows)
+        found[known] = rows[_WORDS]
         for at, number in enumerate(numbers):
             if number >= self._known:
                 row = number - self._known

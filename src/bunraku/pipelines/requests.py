@@ -22,6 +22,7 @@ from bunraku.core.request import (
     STIFFNESS,
     WHOLE,
     Constraint,
+    check_all,
     from_json,
     to_json,
 )
@@ -353,11 +354,8 @@ class Sampling:
         """Whether a motion can be drawn so; `dashes` stand before the names of options in messages; OptionError where a
         number is outside its limits.
         """
-        WHOLE.check(self.seconds, f"{dashes}seconds")
-        SEED.check(self.seed, f"{dashes}seed")
-        STEPS.check(self.steps, f"{dashes}steps")
-        GUIDANCE.check(self.guidance, f"{dashes}guidance")
-        CANDIDATES.check(self.candidates, f"{dashes}candidates")
+        limits, numbers = (WHOLE, SEED, STEPS, GUIDANCE, CANDIDATES), (self.seconds, self.seed, self.steps)
+        check_all(zip(limits, (*numbers, self.guidance, self.candidates), strict=True), dashes)
 
 
 @dataclass(frozen=True, eq=False)

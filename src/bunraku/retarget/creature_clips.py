@@ -71,7 +71,7 @@ class CreatureClip:
         try:
             if not 2 <= self.frames <= MOST_FRAMES:
                 raise ValueError
-            values = unpack_steps(self.data, self.frames, _NUMBERS, _ORDER, _FILTERS)
+            values = unpack_steps([self.data], [self.frames], _NUMBERS, _ORDER, _FILTERS)
         except ValueError as error:
             raise WeightsError("the clips of creatures are damaged; install Bunraku again") from error
         turns = matrix_from_axis_angle((values[:, 4:] * _RADIANS).reshape(self.frames, HANDLE_COUNT, 3))

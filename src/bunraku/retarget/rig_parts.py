@@ -14,7 +14,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.anatomy.handles.limbs import FAMILIES, SIDES, limb_handles
+from bunraku.anatomy.handles.limbs import ARMS, LEGS, SIDES
 from bunraku.anatomy.joints import PRESENT, Joints, reference_joints
 from bunraku.anatomy.legs import legs_of_rig
 from bunraku.anatomy.names.bone_names import NO_HANDLE, handle_of_joints, limb_parents, resolve_joints, rig_handles
@@ -56,7 +56,6 @@ third, and rigs without legs hold none of those of the mesh.
 NEAR_HEAD = 0.1
 """A joint is at the head of its bone where that is so near, over the height. Chosen by eye."""
 FEWEST_PARTS = 3  # parts that the bones of a body move
-_LEGS, _ARMS = ([limb_handles(side, family) for side in SIDES] for family in FAMILIES)
 _WINGS, _TAIL = (
     [[HANDLE_NAMES.index(f"{side}_wing")] for side in SIDES],
     [HANDLE_NAMES.index(name) for name in ("tail", "tail_tip")],
@@ -260,7 +259,7 @@ def _moves_all(body: Anatomy, shared: np.ndarray, parts: np.ndarray) -> bool:
         return bool(shared[np.isin(parts, own)][:, own].sum() >= OWN_BONES * shared[:, own].sum())
 
     limbs = [limb for limb in body.extra_limbs if limb[0] not in body.appendages]
-    limbs += (_LEGS if plan.legs else []) + (_ARMS if plan.kind == "person" or plan.front else [])
+    limbs += (LEGS if plan.legs else []) + (ARMS if plan.kind == "person" or plan.front else [])
     carried = bool(plan.legs) or not (plan.wings or plan.tail)
     carried |= (plan.wings and all(map(moved, _WINGS))) or (plan.tail and moved(_TAIL))
     return len(np.unique(parts[parts != NO_HANDLE])) >= FEWEST_PARTS and carried and all(map(moved, limbs))

@@ -222,7 +222,7 @@ def predicted_parts(rest: np.ndarray, normals: np.ndarray, edges: np.ndarray, ar
     model = _predictor()
     graph = mesh_graph(points, np.asarray(normals, np.float32), edges, areas, model.config.anchors)
     mirrored = model(graph.mirrored()).weights[:, list(HANDLE_MIRROR)]
-    return np.asarray((model(graph).weights + mirrored) / 2, np.float32)
+    return np.asarray((model(graph).weights + mirrored)[graph.position] / 2, np.float32)
 
 
 def source_rotations(turns: np.ndarray, joints: np.ndarray) -> np.ndarray:

@@ -12,11 +12,11 @@ import numpy as np
 import torch
 from torch import nn
 
-from bunraku.anatomy.handles import networks as arrays
+from bunraku.anatomy.handles.networks import anchored, area_shares, neighbour_ranks
 
 
 class HasNeighbours(Protocol):
-    """What an EdgeConv needs of a graph: `ranks` and `position` as `handles.inference.graph.MeshGraph` has them."""
+    """What an EdgeConv needs of a graph: `ranks` and `position` as `MeshGraph` has them."""
 
     @property
     def ranks(self) -> tuple[torch.Tensor, ...]:
@@ -87,7 +87,9 @@ def edge_conv_reference(layer: EdgeConv, x: torch.Tensor, graph: HasNeighbours) 
 
 @dataclass
 class MeshGraph:
-    """A mesh as tensors: those of `bunraku.anatomy.handles.networks.MeshGraph`."""
+    """A mesh as tensors, its vertices as they are; fields as of `bunraku.anatomy.handles.networks.MeshGraph`, whose
+    vertices are in the order that `position` tells.
+    """
 
     inputs: torch.Tensor
     areas: torch.Tensor
@@ -122,9 +124,25 @@ def mesh_graph(
         anchors: Most anchors, M.
         rng: For training, where other anchors are to be drawn each time; without it they depend on the mesh alone.
     """
-    found = vars(arrays.mesh_graph(positions, normals, edges, areas, anchors, rng))
-    ranks = tuple(torch.from_numpy(rank) for rank in found.pop("ranks"))
-    return MeshGraph(**{name: torch.from_numpy(value) for name, value in found.items()}, ranks=ranks)
+    count = len(positions)
+    chosen, index, weight = anchored(positions, anchors, rng)
+    spread = np.zeros((count, len(chosen)), np.float32)
+    np.put_along_axis(spread, index, weight, axis=1)
+    share = area_shares(areas)
+    gather = (spread * share[:, None]).T
+    gather /= np.maximum(gather.sum(axis=1, keepdims=True), 1e-20)
+    ranks, number = neighbour_ranks(np.asarray(edges, np.int64), count)
+    inputs = np.concatenate([positions, normals], axis=1).astype(np.float32)
+    fields = (
+        inputs,
+        share,
+        number,
+        spread,
+        np.ascontiguousarray(gather, np.float32),
+        positions[chosen].astype(np.float32),
+    )
+    seen, shares, where, *more = map(torch.from_numpy, fields)
+    return MeshGraph(seen, shares, tuple(map(torch.from_numpy, ranks)), where, *more)
 
 
 class AnchorBlock(nn.Module):

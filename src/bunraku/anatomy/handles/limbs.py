@@ -56,7 +56,9 @@ def limb_handles(side: str, family: tuple[str, ...]) -> list[int]:
     return [HANDLE_NAMES.index(f"{side}_{part}") for part in family]
 
 
-LIMB_HANDLES = [column for side in SIDES for family in FAMILIES for column in limb_handles(side, family)]
+LEGS, ARMS = ([limb_handles(side, family) for side in SIDES] for family in FAMILIES)
+"""Handles of the legs and of the arms, of each of `SIDES`."""
+LIMB_HANDLES = [*LEGS[0], *ARMS[0], *LEGS[1], *ARMS[1]]
 
 
 def has_extra_legs(handles: Handles) -> bool:

@@ -14,20 +14,20 @@ from scipy.sparse import csr_matrix
 from bunraku.core.body.layout import HANDLE_COUNT
 from bunraku.core.geometry.axes import right_angle_rotations
 from bunraku.core.nn.checkpoints import config_of, load_network
-from bunraku.core.nn.layers import Linear, Perceptron, Weights, gelu, normed, softmax, through
+from bunraku.core.nn.layers import Linear, Weights, gelu, mean_and_most, softmax, through
 
 _NEAR = 3  # anchors that each vertex listens to
 
 
 @dataclass
 class MeshGraph:
-    """A mesh as arrays.
+    """A mesh as arrays, its vertices in order of falling degree: what is said of vertex i stands in row `position[i]`.
 
     Args:
         inputs: Position and normal of each vertex, shape (V, 6).
         areas: Share of the surface that each vertex stands for, shape (V,), sums to 1.
-        ranks: The n-th neighbours of the vertices that have so many, vertices in order of falling degree; every vertex
-            is its own first neighbour. Shapes (V,), (V_1,), (V_2,) ...
+        ranks: The n-th neighbours of the vertices that have so many; every vertex is its own first neighbour. Shapes
+            (V,), (V_1,), (V_2,) ...
         position: Where each vertex is in that order, shape (V,).
         spread: Weights from anchors to vertices, rows sum to 1, shape (V, M).
         gather: Weights from vertices to anchors, rows sum to 1, shape (M, V).
@@ -38,14 +38,14 @@ class MeshGraph:
     areas: np.ndarray
     ranks: tuple[np.ndarray, ...]
     position: np.ndarray
-    spread: np.ndarray | csr_matrix
-    gather: np.ndarray | csr_matrix
+    spread: csr_matrix
+    gather: csr_matrix
     anchors: np.ndarray
 
     def mirrored(self) -> MeshGraph:
         """The mirror image in the plane x = 0, with the same vertices in the same order."""
         flip = np.array([-1, 1, 1, -1, 1, 1], np.float32)
-        return type(self)(**{**vars(self), "inputs": self.inputs * flip, "anchors": self.anchors * flip[:3]})
+        return MeshGraph(**{**vars(self), "inputs": self.inputs * flip, "anchors": self.anchors * flip[:3]})
 
     def largest_neighbour(self, values: np.ndarray) -> np.ndarray:
         """The largest of each channel among the neighbours of each vertex, shape (V, C) -> (V, C).
@@ -53,29 +53,15 @@ class MeshGraph:
         With the vertices in order of falling degree, the n-th neighbours of all vertices that have one are a prefix: no
         padding, and all work is in whole slices.
         """
-        return self._largest(values, values[self.ranks[0]])[self.position]
-
-    def _largest(self, values: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """The same of vertices in order of falling degree, `own` the values of these."""
         best, room = np.empty_like(values), np.empty_like(values)
-        seen = own
+        seen = values
         for neighbours in self.ranks[1:]:
             count = len(neighbours)
             other = values.take(neighbours, axis=0, out=room[:count], mode="clip")
             np.maximum(seen[:count], other, out=best[:count])
-            if seen is own:
-                seen, best[count:] = best, own[count:]
-        return own.copy() if seen is own else best
-
-
-class OrderedGraph(MeshGraph):
-    """A graph whose vertices are in order of falling degree, so that no layer puts them in order: row i of what is said
-    of them belongs where `position` says. What passes between them and the anchors are sparse matrices.
-    """
-
-    def largest_neighbour(self, values: np.ndarray) -> np.ndarray:
-        """As `MeshGraph.largest_neighbour`."""
-        return self._largest(values, values)
+            if seen is values:
+                seen, best[count:] = best, values[count:]
+        return values.copy() if seen is values else best
 
 
 def farthest_points(positions: np.ndarray, count: int) -> np.ndarray:
@@ -92,8 +78,10 @@ def farthest_points(positions: np.ndarray, count: int) -> np.ndarray:
     return chosen
 
 
-def _neighbour_ranks(edges: np.ndarray, count: int) -> tuple[list[np.ndarray], np.ndarray]:
-    """`MeshGraph.ranks` and `MeshGraph.position` of undirected edges (E, 2)."""
+def neighbour_ranks(edges: np.ndarray, count: int) -> tuple[list[np.ndarray], np.ndarray]:
+    """The n-th neighbours of the vertices that have so many, vertices in order of falling degree, and where each vertex
+    is in that order, of undirected edges (E, 2).
+    """
     both = np.concatenate([edges, edges[:, ::-1]])
     both = both[np.argsort(both[:, 0], kind="stable")]
     degrees = np.bincount(both[:, 0], minlength=count)
@@ -109,12 +97,7 @@ def _neighbour_ranks(edges: np.ndarray, count: int) -> tuple[list[np.ndarray], n
 
 
 def mesh_graph(
-    positions: np.ndarray,
-    normals: np.ndarray,
-    edges: np.ndarray,
-    areas: np.ndarray,
-    anchors: int = 128,
-    rng: np.random.Generator | None = None,
+    positions: np.ndarray, normals: np.ndarray, edges: np.ndarray, areas: np.ndarray, anchors: int = 128
 ) -> MeshGraph:
     """The graph of a normalised mesh.
 
@@ -124,41 +107,17 @@ def mesh_graph(
         edges: Undirected edges, each once, bridges between loose parts included, shape (E, 2).
         areas: Surface that each vertex stands for, any unit, shape (V,).
         anchors: Most anchors, M.
-        rng: For training, where other anchors are to be drawn each time; without it they depend on the mesh alone.
     """
     count = len(positions)
-    chosen, index, weight = _anchored(positions, anchors, rng)
-    spread = np.zeros((count, len(chosen)), np.float32)
-    np.put_along_axis(spread, index, weight, axis=1)
-    share = _shares(areas)
-    gather = (spread * share[:, None]).T
-    gather /= np.maximum(gather.sum(axis=1, keepdims=True), 1e-20)
-    ranks, number = _neighbour_ranks(np.asarray(edges, np.int64), count)
-    return MeshGraph(
-        inputs=np.concatenate([positions, normals], axis=1).astype(np.float32),
-        areas=share,
-        ranks=tuple(ranks),
-        position=number,
-        spread=spread,
-        gather=np.ascontiguousarray(gather, dtype=np.float32),
-        anchors=positions[chosen].astype(np.float32),
-    )
-
-
-def ordered_graph(
-    positions: np.ndarray, normals: np.ndarray, edges: np.ndarray, areas: np.ndarray, anchors: int = 128
-) -> OrderedGraph:
-    """`mesh_graph` with its vertices in order of falling degree, for inference; arguments are those."""
-    count = len(positions)
-    chosen, index, weight = _anchored(positions, anchors)
-    ranks, number = _neighbour_ranks(np.asarray(edges, np.int64), count)
+    chosen, index, weight = anchored(positions, anchors)
+    ranks, number = neighbour_ranks(np.asarray(edges, np.int64), count)
     order = ranks[0]
-    columns, values, share = index[order].reshape(-1), weight[order], _shares(areas)[order]
+    columns, values, share = index[order].reshape(-1), weight[order], area_shares(areas)[order]
     rows = np.arange(0, len(columns) + 1, index.shape[1])
     heard = (values * share[:, None]).reshape(-1)
     heard /= np.maximum(np.bincount(columns, heard, len(chosen)), 1e-20).astype(np.float32)[columns]
     shape = count, len(chosen)
-    return OrderedGraph(
+    return MeshGraph(
         inputs=np.concatenate([positions, normals], axis=1).astype(np.float32)[order],
         areas=share,
         ranks=tuple(number[rank] for rank in ranks),
@@ -169,7 +128,7 @@ def ordered_graph(
     )
 
 
-def _anchored(
+def anchored(
     positions: np.ndarray, anchors: int, rng: np.random.Generator | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Which vertices are anchors, shape (M,); the anchors that each vertex listens to, shape (V, n), and how much."""
@@ -185,7 +144,7 @@ def _anchored(
     return chosen, index, (weight / weight.sum(axis=1, keepdims=True)).astype(np.float32)
 
 
-def _shares(areas: np.ndarray) -> np.ndarray:
+def area_shares(areas: np.ndarray) -> np.ndarray:
     """Share of the surface that each vertex stands for, shape (V,), not 0."""
     share = np.maximum(np.asarray(areas, np.float64), 0)
     share = (share + 1e-3 * max(share.mean(), 1e-12)).astype(np.float32)
@@ -241,21 +200,17 @@ class _GraphLayer:
         # what a vertex says of itself, less what its neighbours would hear of it
         self.own = Linear(itself.matrix - self.neighbour.matrix, itself.bias)
         self.enter = weights.linear("enter", width_in + 3, width_out)
-        self.blocks = [  # rounds in which the anchors pass messages to one another
-            weights.part(f"blocks.{index}").pre_norm(
-                "attention merge norm_attention mix.0 mix.2 norm_mix", width_out, heads, 2 * width_out
-            )
-            for index in range(depth)
-        ]
+        names = "attention merge norm_attention mix.0 mix.2 norm_mix"
+        # rounds in which the anchors pass messages to one another
+        self.blocks = weights.pre_norms("blocks", depth, names, width_out, heads, 2 * width_out)
         self.norm = weights.norm("norm", width_out)
 
     def __call__(self, x: np.ndarray, graph: MeshGraph) -> np.ndarray:
-        tokens = self.enter(np.concatenate([graph.gather @ x, graph.anchors], axis=-1))[None]
-        tokens = through(self.blocks, tokens)
+        tokens = through((self.enter, *self.blocks), np.concatenate([graph.gather @ x, graph.anchors], axis=-1)[None])
         both = self.own(x)
         both += graph.largest_neighbour(self.neighbour(x))
         both += graph.spread @ tokens[0]
-        return gelu(normed(both, self.norm))
+        return through((self.norm, gelu), both)
 
 
 class HandlePredictor:
@@ -279,11 +234,8 @@ class HandlePredictor:
         length, (first, second) = sum(config.levels), config.hidden
         self._local = weights.linear("local", length + 6, first)
         self._overall = weights.linear("overall", length, first, bias=False)
-        self._norm = weights.norm("head.0", first)
-        self._middle, self._last = (
-            weights.linear("head.2", first, second),
-            weights.linear("head.4", second, config.handles),
-        )
+        head = weights.perceptron("head.2 head.4", first, second, config.handles)
+        self._head = weights.norm("head.0", first), gelu, head, softmax
 
     def __call__(self, graph: MeshGraph) -> HandlePrediction:
         """What it says of a mesh."""
@@ -296,7 +248,7 @@ class HandlePredictor:
         features = np.concatenate(pooled)
         hidden = self._local(np.concatenate([*levels, graph.inputs], axis=-1))
         hidden += self._overall(features[None])
-        return HandlePrediction(softmax(self._last(gelu(self._middle(gelu(self._norm(hidden)))))), features)
+        return HandlePrediction(through(self._head, hidden), features)
 
 
 def predictor_config(shape: dict[str, object]) -> PredictorConfig:
@@ -409,22 +361,17 @@ class OrientationPredictor:
     def __init__(self, config: OrientationConfig, weights: Weights):
         self.config = config
         width = config.width
-        self._enter = Perceptron(weights.linear("enter.0", TOKEN, width), weights.linear("enter.2", width, width))
+        names = "attention merge norm mix.1 mix.3 mix.0"
+        layers = weights.pre_norms("layers", config.layers, names, width, config.heads, 2 * width)
         self._layers = [
-            weights.part(f"layers.{index}").pre_norm(
-                "attention merge norm mix.1 mix.3 mix.0", width, config.heads, 2 * width
-            )
-            for index in range(config.layers)
-        ]
-        self._norm = weights.norm("norm", width)
-        self._head = Perceptron(weights.linear("head.0", 2 * width, width), weights.linear("head.2", width, 1))
+            weights.perceptron("enter.0 enter.2", TOKEN, width, width), *layers, weights.norm("norm", width),
+            mean_and_most, weights.perceptron("head.0 head.2", 2 * width, width, 1),
+        ]  # fmt: skip
         self._rotations = right_angle_rotations().astype(np.float32)
 
     def __call__(self, tokens: np.ndarray) -> np.ndarray:
         """Score of each mesh as it stands, shape (B, M, 10) -> (B,)."""
-        x = through((self._enter, *self._layers, self._norm), tokens)
-        pooled = np.concatenate([x.mean(axis=1), x.max(axis=1)], axis=-1)
-        return self._head(pooled)[:, 0]
+        return through(self._layers, tokens)[:, 0]
 
     def probabilities(self, tokens: np.ndarray) -> np.ndarray:
         """How likely each of `geometry.axes.ORIENTATIONS` is the right one, from the mesh and its mirror image, shape

@@ -68,10 +68,10 @@ def predict_weights(mesh: NetworkMesh, model: HandlePredictor) -> tuple[np.ndarr
     Returns:
         Skinning weights (M, K) and the mesh deformation feature f_phi (448,) of the mesh as it is, float32.
     """
-    from bunraku.anatomy.handles.networks import ordered_graph
+    from bunraku.anatomy.handles.networks import mesh_graph
     from bunraku.core.nn.layers import one_thread, parallel
 
-    graph = ordered_graph(mesh.vertices, mesh.normals, mesh.edges, mesh.areas, model.config.anchors)
+    graph = mesh_graph(mesh.vertices, mesh.normals, mesh.edges, mesh.areas, model.config.anchors)
     with one_thread():
         plain, mirrored = parallel(lambda: model(graph), lambda: model(graph.mirrored()))
         weights = np.float32(0.5) * (plain.weights + mirrored.weights[:, list(HANDLE_MIRROR)])

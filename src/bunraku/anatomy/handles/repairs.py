@@ -8,24 +8,23 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
-from bunraku.anatomy.handles.limbs import FAMILIES, LIMB_HANDLES, SIDES, limb_handles
+from bunraku.anatomy.handles.limbs import ARMS, LEGS, LIMB_HANDLES
 from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES, HANDLE_PARENTS
 from bunraku.core.body.reference import handle_positions
 from bunraku.core.geometry.axes import directions_about, goes_round
 from bunraku.core.geometry.graph import mean_operator, mesh_parts
 from bunraku.core.geometry.simplify import NetworkMesh
-from bunraku.core.motion import line_up
+from bunraku.core.motion import lines_up
 
 _LIMBS = [
     i for i, name in enumerate(HANDLE_NAMES) if name.startswith(("left_", "right_")) or name in ("tail", "tail_tip")
 ]
-_LEGS = [handle for side in SIDES for handle in limb_handles(side, FAMILIES[0])]
-_ARMS = [limb_handles(side, FAMILIES[1]) for side in SIDES]
+_LEGS = [*LEGS[0], *LEGS[1]]
 _HEAD = [HANDLE_NAMES.index(name) for name in ("head", "head_top", "face", "neck")]
 _TOP = HANDLE_NAMES.index("head_top")
 _TRUNK = [HANDLE_NAMES.index(name) for name in ("pelvis", "spine1", "spine2", "spine3", "left_collar", "right_collar")]
 _TAIL, _TIP = HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")
-_LINES = [line_up(handle, HANDLE_PARENTS) for handle in range(HANDLE_COUNT)]
+_LINES = lines_up(HANDLE_PARENTS)
 _SUBTREES = [[other for other, line in enumerate(_LINES) if handle in line] for handle in range(HANDLE_COUNT)]
 """Each handle with those below it."""
 
@@ -81,7 +80,7 @@ class DropDoubtfulLimbs(Repair):
 
     def __call__(self, body: Patient, weights: np.ndarray) -> np.ndarray:
         out = np.array(weights, np.float64)
-        for sides in [[limb_handles(side, family) for side in SIDES] for family in FAMILIES] + [[[_TAIL, _TIP]]]:
+        for sides in [LEGS, ARMS, [[_TAIL, _TIP]]]:
             if max(float(weights[:, limb].sum(axis=1).max()) for limb in sides) < self.surely:
                 out[:, np.concatenate(sides)] = 0
         left = out.sum(axis=1, keepdims=True)
@@ -123,7 +122,7 @@ class HairToHead(Repair):
         hangs = held(_HEAD, body.areas * top) > self.of_root * held(everywhere, body.areas * top)
         loose = hangs & (held(_HEAD) > self.held * held(everywhere)) & (trunk < self.trunk * trunk.sum())
         out = np.array(weights, np.float64)
-        for limb in (limb_handles(side, family) for side in SIDES for family in FAMILIES):
+        for limb in (LEGS[0], ARMS[0], LEGS[1], ARMS[1]):
             of_limb = held(limb)
             rows = np.flatnonzero((loose & (of_limb < self.limb * of_limb.sum()))[part])
             out[rows, _TOP] += out[rows][:, limb].sum(axis=1)
@@ -155,7 +154,7 @@ class HairOffArms(Repair):
         out = np.array(weights, np.float64)
         others = np.setdiff1d(np.arange(HANDLE_COUNT), LIMB_HANDLES)
         positions = handle_positions(mesh.vertices, weights, mesh.areas)
-        for arm in map(np.array, _ARMS):
+        for arm in map(np.array, ARMS):
             held = weights[:, arm].sum(axis=1) > self.held
             angle = directions_about(mesh.vertices, positions[arm[0]], positions[arm[-1]])
             for number in np.unique(part[held]):
@@ -197,7 +196,7 @@ class EarsToHead(Repair):
         if body.areas @ weights[:, _TRUNK].sum(axis=1) < self.trunk * body.areas.sum():
             return weights
         out, edges = np.array(weights, np.float64), body.edges
-        for arm in _ARMS:
+        for arm in ARMS:
             label = body.pieces(weights[:, arm].sum(axis=1) > self.surely)
             for piece in (label == number for number in np.unique(label[label >= 0])):
                 around = out[_rim(edges, piece)].sum(axis=0)

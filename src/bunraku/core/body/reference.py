@@ -38,6 +38,11 @@ class ReferenceBody:
     mirror: np.ndarray
 
     @cached_property
+    def legs(self) -> float:
+        """Mean length of the legs [m] (`leg_length`)."""
+        return leg_length(self.joints)
+
+    @cached_property
     def skeleton(self) -> Skeleton:
         """The 22 joints with their offsets."""
         parents = np.array(JOINT_PARENTS)

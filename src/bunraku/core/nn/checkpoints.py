@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
@@ -58,9 +58,7 @@ def read_tensors(path: Path, kind: str, framework: str = "np") -> tuple[dict[str
     """
     with _opened(path, kind, framework) as (file, config):
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a dict
-        for name in json.loads((file.metadata() or {}).get(_PLANES, "[]")):
-            low, high = tensors[name]
-            tensors[name] = (low | high.astype("<u2") << np.uint16(8)).view("<f2")
+        halves_of(tensors, json.loads((file.metadata() or {}).get(_PLANES, "[]")))
         return tensors, config
 
 
@@ -112,9 +110,11 @@ def planes_of(values: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(np.moveaxis(halves.view(np.uint8).reshape(*halves.shape, 2), -1, 0))
 
 
-def halves_of(planes: np.ndarray) -> np.ndarray:
-    """The float16 array that `planes_of` took apart."""
-    return np.asarray((planes[0] | planes[1].astype("<u2") << np.uint16(8)).view("<f2"))
+def halves_of(tensors: dict[str, np.ndarray], names: Iterable[str]) -> None:
+    """Put the float16 arrays that `planes_of` took apart together again, those of these names."""
+    for name in names:
+        low, high = tensors[name]
+        tensors[name] = (low | high.astype("<u2") << np.uint16(8)).view("<f2")
 
 
 def save_checkpoint(

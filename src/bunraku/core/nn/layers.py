@@ -184,6 +184,11 @@ class PostNorm(NamedTuple):
         return self.norm_b(x + self.narrow(gelu(self.wide(x))))
 
 
+def mean_and_most(x: np.ndarray) -> np.ndarray:
+    """Mean and largest value of each channel over the tokens, shape (B, T, d) -> (B, 2 d)."""
+    return np.concatenate([x.mean(axis=1), x.max(axis=1)], axis=-1)
+
+
 def through(layers: Sequence[Any], x: np.ndarray) -> np.ndarray:
     """What layers make of `x`, one after the other; mypy takes no named tuple for a callable."""
     for layer in layers:
@@ -369,6 +374,11 @@ class Weights:
         """From two linear layers by name."""
         return FeedForward(self.linear(wide, width, inner), self.linear(narrow, inner, width))
 
+    def perceptron(self, names: str, width_in: int, inner: int, width_out: int) -> Perceptron:
+        """From the names of its two linear layers."""
+        first, second = names.split()
+        return Perceptron(self.linear(first, width_in, inner), self.linear(second, inner, width_out))
+
     def pre_norm(self, names: str, width: int, heads: int, inner: int) -> PreNorm:
         """A transformer layer from the names of its attention's two linear layers, its norm, the two of its
         feed-forward and that one's norm.
@@ -378,6 +388,10 @@ class Weights:
             self.attention(enter, leave, width, heads), self.norm(norm_a, width),
             self.feed_forward(wide, narrow, width, inner), self.norm(norm_b, width),
         )  # fmt: skip
+
+    def pre_norms(self, part: str, count: int, names: str, width: int, heads: int, inner: int) -> list[PreNorm]:
+        """Several of them, in the numbered parts of a part."""
+        return [self.part(f"{part}.{index}").pre_norm(names, width, heads, inner) for index in range(count)]
 
     def done(self) -> None:
         """Raise ValueError unless all have been handed out."""
@@ -447,7 +461,7 @@ class DecoderLayer:
         return Memory(apply_rotary(key, rotary), value)
 
     def __call__(
-        self, x: np.ndarray, steer: np.ndarray, rotary: Rotary, real: np.ndarray | None, condition: Condition,
+        self, x: np.ndarray, steer: np.ndarray, rotary: Rotary, hidden: np.ndarray | None, condition: Condition,
         index: int,
     ) -> np.ndarray:  # fmt: skip
         """The next hidden states, shape (B, T, d).
@@ -456,19 +470,40 @@ class DecoderLayer:
             x: Hidden states, shape (B, T, d), which it writes on.
             steer: Scale, shift and gate of each block, shape (B, 9, or 12 with examples, d).
             rotary: Of the tokens.
-            real: Which tokens are real, shape (B, T); None where all are.
+            hidden: Mask of the tokens, from `hidden_by`.
             condition: As of `Condition`.
             index: Of the layer.
         """
         parts = (steer + self.offset)[:, :, None].swapaxes(0, 1)
         scales = 1 + parts[::3]
-        hidden = None if real is None else hidden_by(real)
         x = self.own(x, Norm(scales[0], parts[1]), None, hidden, rotary, parts[2])
         x = self.cross(x, Norm(scales[1], parts[4]), condition.memories[index], condition.hidden, None, parts[5])
         examples = condition.examples[index]
         if self.examples is not None and examples is not None:
             x = self.examples(x, Norm(scales[-1], parts[-2]), examples, condition.hidden_examples, rotary, parts[-1])
         return self.mix(x, Norm(scales[2], parts[7]), parts[8])
+
+
+def decoded(
+    layers: Sequence[DecoderLayer], x: np.ndarray, steer: np.ndarray, ends: np.ndarray, real: np.ndarray | None,
+    condition: Condition,
+) -> np.ndarray:  # fmt: skip
+    """What decoder layers make of tokens that stand at 0, 1, 2 … in time, behind an adaptive norm, shape (B, T, d).
+
+    Args:
+        layers: In their order.
+        x: Hidden states, shape (B, T, d), which it writes on.
+        steer: As of `DecoderLayer`.
+        ends: Scale and shift of the norm, side by side, shape (B, 2 d).
+        real: Which tokens are real, shape (B, T); None where all are.
+        condition: As of `Condition`.
+    """
+    rotary = rotary_positions(np.arange(x.shape[1]), x.shape[2] // layers[0].heads)
+    hidden = None if real is None else hidden_by(real)
+    for index, layer in enumerate(layers):
+        x = layer(x, steer, rotary, hidden, condition, index)
+    scale, shift = np.split(ends[:, None], 2, axis=-1)
+    return normed(x, Norm(1 + scale, shift))
 
 
 _spare: ContextVar[bool] = ContextVar("spare", default=False)

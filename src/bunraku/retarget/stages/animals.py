@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.anatomy.handles.limbs import FAMILIES, SIDES, limb_handles
+from bunraku.anatomy.handles.limbs import ARMS, FAMILIES, SIDES, limb_handles
 from bunraku.anatomy.legs import Leg
 from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.character import Handles
@@ -283,7 +283,7 @@ def _handles(leg: Leg) -> list[int]:
     return list(dict.fromkeys((leg.upper, leg.lower, *leg.foot)))
 
 
-_FRONT = [handle for side in SIDES for handle in limb_handles(side, FAMILIES[1])]
+_FRONT = [*ARMS[0], *ARMS[1]]
 
 
 def _ends(handles: Handles, legs: list[Leg]) -> tuple[list[int], list[int]]:

@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy, reference_anatomy
-from bunraku.anatomy.handles.limbs import FAMILIES, SIDES, limb_handles
+from bunraku.anatomy.handles.limbs import ARMS, LEGS
 from bunraku.anatomy.joints import Joints, downwards, reference_joints
 from bunraku.anatomy.rest_pose import WHOLE_LIMBS, pieces
 from bunraku.core.body.layout import CHEST
@@ -121,9 +121,7 @@ class Blocks(Stage):
         return replace(fitting, rotations=rotations)
 
 
-_ARM_HANDLES, _LEGS = (
-    [handle for side in SIDES for handle in limb_handles(side, family)] for family in (FAMILIES[1], FAMILIES[0])
-)
+_ARM_HANDLES, _LEGS = ([*left, *right] for left, right in (ARMS, LEGS))
 
 
 @dataclass(frozen=True)
@@ -150,8 +148,7 @@ class Legless(Stage):
         return replace(fitting, rotations=rotations)
 
 
-_ARMS = [limb_handles(side, FAMILIES[1]) for side in SIDES]
-_PARTS = [part for arm in _ARMS for part in arm]
+_PARTS = [part for arm in ARMS for part in arm]
 
 
 @dataclass(frozen=True)
@@ -184,7 +181,7 @@ class Fins(Stage):
     def drawn(self, rotations: np.ndarray) -> bool:
         """Whether arms move of their own in a motion of the reference body, whose rotations (N, 30, 3, 3) are given."""
         chest = rotations[:, CHEST].astype(np.float64).transpose(0, 2, 1)
-        upper = [handle for arm in _ARMS for handle in arm[:2]]
+        upper = [handle for arm in ARMS for handle in arm[:2]]
         turns = axis_angle_from_matrix(chest[:, None] @ rotations[:, upper].astype(np.float64))
         return bool(np.linalg.norm(turns, axis=-1).mean() > self.undrawn)
 

@@ -311,7 +311,7 @@ def unpack_motion(data: bytes, frames: int, form: str) -> HandleMotion:
     """
     if form not in FORMS or not 0 < frames <= MOST_FRAMES:
         raise ValueError(f"no clip has the form {form!r} and {frames} frames")
-    values = unpack_steps(data, frames, _NUMBERS[form], 2, _FILTERS)
+    values = unpack_steps([data], [frames], _NUMBERS[form], 2, _FILTERS)
     if np.abs(values).max() > _LARGEST:
         raise ValueError("a clip leads out of all bounds")
     split = 3 if form == "skeleton" else 3 * HANDLE_COUNT
