@@ -3,8 +3,9 @@
     python benchmarks/same_bytes.py -o before.json          # on one version
     python benchmarks/same_bytes.py --against before.json   # on another, with the same weights
 
-Twenty sentences on six characters and six transfers, each with a seed of its own: the hash of all posed vertices. The
-processor and the version of torch must be the same; the last bits depend on both.
+Twenty sentences on six characters, six transfers, and the dancer with her apparel moved in three ways, each with a seed
+of its own: the hash of all posed vertices. The processor and the version of torch must be the same; the last bits
+depend on both.
 """
 
 from __future__ import annotations
@@ -62,6 +63,9 @@ def made() -> Iterator[tuple[str, AnimatedCharacter]]:
             motion = bunraku.load_motion(path)
             for name in ("dancer", "robot", "mushroom"):
                 yield f"{name}: transfer of {prompt}", bunraku.transfer(characters[name], motion)
+        for number, apparel in enumerate(("auto", "chains", "learn")):
+            moved = bunraku.animate(characters["dancer"], SENTENCES[0], seconds=3, seed=number, apparel=apparel)
+            yield f"dancer: apparel {apparel}", moved
 
 
 def main() -> int:
