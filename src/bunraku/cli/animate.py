@@ -152,11 +152,11 @@ class Animate(GeneratingOptions):
     written as a GLB that keeps the mesh, materials and textures of the input, as an NPZ of the handle motion, or as a
     sequence of meshes.
 
-    Several prompts in a row, parted by semicolons, blend into each other: "walks:4; jumps:2; waves:3". The numbers are
-    seconds.
+    Several prompts in a row, separated by semicolons, blend into each other: "walks:4; jumps:2; waves:3". The numbers
+    are seconds.
 
-    Several prompts of their own make as many clips in one file, as game engines take them, loops where what is done
-    goes on as it is: bunraku animate knight.glb "idle" "walks forward" "runs" "Attack=attacks" -o knight-moves.glb
+    Several prompts make as many clips in one file, as game engines take them; walks and other cycles become loops:
+    bunraku animate knight.glb "idle" "walks forward" "runs" "Attack=attacks" -o knight-moves.glb
 
     For an engine: bunraku animate knight.glb "idle" "walks forward" --for unity
 
@@ -184,17 +184,17 @@ class Animate(GeneratingOptions):
     apparel: tyro.conf.OmitArgPrefixes[ApparelOptions] = field(default_factory=ApparelOptions)
     """How hair and clothes move."""
     rig: Literal["auto", "own", "handles"] = "auto"
-    """What is moved: the bones of the file's "own" skeleton, which keeps its names, weights and other clips; the 30
-    "handles"; or by "auto" the bones where they are understood as those of a person, of four legs or of a bird, and
-    handles otherwise.
+    """What is moved. "own": the bones of the file's skeleton, which keeps its names, weights and other clips.
+    "handles": the 30 handles. "auto": the bones where Bunraku understands them (of a person, a four-legged animal or a
+    bird), the handles elsewhere.
     """
     skeleton: SkeletonOption = None
-    """Move a tree of joints in a T-pose with the names of Mixamo, VRM or Unreal, made of the handles, which engines'
-    humanoid retargeting takes. For persons.
+    """For people: move a skeleton that is made of the handles, in a T-pose and with the names of Mixamo, VRM or Unreal,
+    as the humanoid retargeting of engines needs it.
     """
     program: ProgramOption = None
     """Write the file that a program wants: its format, axes and unit, frame rate, names of joints for persons without a
-    skeleton of their own, and where the travel is (docs/engines.md). A prompt that tells of a cycle makes a loop.
+    skeleton of their own, and where the travel is (docs/engines.md). A prompt of a walk or another cycle makes a loop.
     """
     directing: tyro.conf.OmitArgPrefixes[DirectingOptions] = field(default_factory=DirectingOptions)
     """What the motion must meet."""

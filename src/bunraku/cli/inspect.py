@@ -189,10 +189,12 @@ class Inspect:
     """Write a picture (.png) of the four likeliest ways in which a character may stand, each with what to type for it.
     """
     apparel: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
-    """Write what is guessed of hair and clothes to a TOML to be changed: girl.apparel.toml beside girl.obj counts."""
+    """Write what is guessed about hair and clothes to a TOML file, for you to change. Of girl.obj, the file
+    girl.apparel.toml beside it counts.
+    """
     body: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
-    """Write what is guessed of axes, joints and pieces to a TOML to be corrected: girl.body.toml beside girl.obj
-    counts.
+    """Write what is guessed about axes, joints and pieces to a TOML file, for you to correct. Of girl.obj, the file
+    girl.body.toml beside it counts.
     """
     overwrite: bool = False
     """Replace a file that is there already and that Bunraku did not write."""

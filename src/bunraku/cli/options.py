@@ -91,7 +91,7 @@ class StandingOptions:
     has none.
     """
     character: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    """Which character of a file with several moves, counted from 1, the largest."""
+    """Which character moves where a file has several: 1 is the largest."""
 
     def check(self) -> None:
         """Raise OptionError unless up and front are axes at a right angle, or "auto"."""
@@ -118,7 +118,7 @@ class WhichOptions(StandingOptions):
     """`StandingOptions` of commands whose --character is a file."""
 
     character: Annotated[int | None, tyro.conf.arg(name="which", metavar="N")] = None
-    """Which character of a file with several moves, counted from 1, the largest."""
+    """Which character moves where a file has several: 1 is the largest."""
 
 
 def resolve_file(character: Character, up: str = "auto", front: str = "auto") -> tuple[ResolvedAxes, str]:
@@ -228,7 +228,7 @@ class ApparelOptions(Apparel):
     """How hair and clothes move: "none" with the body, "simulate" by the physics of an MMD or VRM file, or else by
     the bones of hair and clothes of a person's rig, "chains" by chains of bones that are laid over what a network finds
     on any mesh, "learn" by a network alone, "auto" by the first of physics, bones and chains that there is; or the file
-    of a mask (.npy, .txt, painted .ply or .glb) of what is to be learned.
+    of a mask (.npy, .txt, painted .ply or .glb) of what the network moves.
     """
     stiffness: FeelOption = 1.0
     """How hair and clothes swing: stiff, natural or loose, or a factor on their stiffness, 0.001 to 1000."""
@@ -255,10 +255,10 @@ class GeneratingOptions:
     by their names.
     """
     overwrite: bool = False
-    """Replace files that Bunraku did not write, or made of something else."""
+    """Replace files that Bunraku did not write, or wrote from other inputs."""
     without: WithoutOption = ()
     force: bool = False
-    """Go on where no movement of the sentence is understood; the network then makes any motion."""
+    """Go on where no movement of the sentence is understood; the network then makes some motion."""
     standing: tyro.conf.OmitArgPrefixes[StandingOptions] = field(default_factory=StandingOptions)
     """How the character's file is read."""
 
@@ -281,7 +281,7 @@ class DirectingOptions:
     loop: bool = False
     """Make a loop: the clip ends in the pose that it starts in, at the same speed."""
     in_place: bool = False
-    """Take the travel over the ground out: the character walks on the spot."""
+    """Remove the travel over the ground: the character walks on the spot."""
     after: Path | None = None
     """A .glb or .npz clip of Bunraku: start in its last pose."""
     path: PathOption = ""

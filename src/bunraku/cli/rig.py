@@ -93,8 +93,9 @@ class Rig:
     character: tyro.conf.Positional[Path]
     """The mesh to rig."""
     output: OutputOption = ()
-    """GLB, FBX, VRM or PMX to write. May be given more than once; what can be written is, even where another file is
-    refused. Default: CHARACTER-rigged.glb in this folder. A VRM has a skeleton with VRM's names, a PMX one with any.
+    """GLB, FBX, VRM or PMX to write. May be given more than once; one that is refused does not keep the others from
+    being written. Default: CHARACTER-rigged.glb in this folder. A VRM has a skeleton with VRM's names, a PMX one with
+    any.
     """
     preview: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
     """Also make a page (.png) that shows what was decided: the front and the back coloured by handle, how the character
@@ -105,8 +106,8 @@ class Rig:
     their names.
     """
     skeleton: SkeletonOption = None
-    """Write a tree of joints in a T-pose with the names of Mixamo, VRM or Unreal in place of the handles, which
-    engines' humanoid retargeting takes. For persons.
+    """For people: write a skeleton in place of the handles, in a T-pose and with the names of Mixamo, VRM or Unreal, as
+    the humanoid retargeting of engines needs it.
     """
     apparel: Annotated[str, tyro.conf.arg(metavar="{none,auto,MASK}")] = "none"
     """Give hair and clothes bones of their own: "auto" where the file's physics or else a network find any, or where a

@@ -17,7 +17,7 @@ from bunraku.core.files import atomic_write, writing
 
 @dataclass(frozen=True)
 class Studio:
-    """Open the studio: drop a character, type a sentence, watch it move, take it away.
+    """Open the studio: drop a character, type a sentence, watch it move, export it.
 
     The server is reached from this machine only, and nothing leaves it. What is made is kept in a folder for the next
     time.

@@ -101,7 +101,7 @@ class Transfer:
     jobs: Annotated[str, tyro.conf.arg(metavar="{N,ray}")] = "1"
     """How many processes share the pairs, or "ray" for a Ray cluster."""
     overwrite: bool = False
-    """Replace files that Bunraku did not write, or made of something else."""
+    """Replace files that Bunraku did not write, or wrote from other inputs."""
     preview: PreviewOption = ()
     """Also make a video (.mp4, .webp, .gif) or a contact sheet (.png), for a single pair. May be given more than once.
     """
