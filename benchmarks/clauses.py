@@ -32,12 +32,13 @@ def main() -> None:
 
     import numpy as np
 
-    from bunraku.generation.extractor import embed_motions, embed_sentences, load_extractor
+    from bunraku.generation.extractor import embed_motions, load_extractor
     from bunraku.generation.features import encode
     from bunraku.generation.generate import generate_motions
     from bunraku.generation.networks import Networks
     from bunraku.language.parse import clauses_of, parse
     from bunraku_lab.nn.checkpoints import lab_checkpoint
+    from bunraku_lab.nn.text import embed_sentences
 
     extractor = load_extractor(lab_checkpoint("extractor"))
     sentences = [f"a person {action}" for action in ACTIONS]

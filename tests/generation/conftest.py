@@ -3,7 +3,8 @@ import pytest
 
 from bunraku.core.body.joint_rotations import skeleton_from_handles
 from bunraku.generation.features import decode
-from bunraku.generation.pack import Example, ExamplePack, packed_stretch
+from bunraku.generation.pack import Example, ExamplePack
+from bunraku_lab.datasets.motions.clips import packed_stretch
 
 
 @pytest.fixture

@@ -24,7 +24,6 @@ from bunraku.generation.generate import (
     adapt,
     continue_motion,
     edit_motion,
-    generate_motion,
     generate_motions,
     span_frames,
 )
@@ -47,6 +46,10 @@ def make(denoiser, tmp_path):
         return save_denoiser(tmp_path / f"{name}.safetensors", model, notes, half=False)
 
     return make
+
+
+def generate_motion(prompt, seconds, seed=0, **how):
+    return generate_motions([clauses_of([(prompt, seconds)])], seeds=seed, **how)[0]
 
 
 def same(a, b):
@@ -140,8 +143,8 @@ def test_progress_and_threads(make):
 def test_the_networks_run_without_torch():
     code = (
         "import sys; from bunraku.generation.networks import Networks; Networks().denoiser; "
-        "from bunraku.generation.generate import generate_motion; "
-        "generate_motion('a person walks', 1, steps=2, candidates=2); "
+        "from bunraku.generation.generate import generate_motions; from bunraku.language.parse import clauses_of; "
+        "generate_motions([clauses_of([('a person walks', 1)])], steps=2, candidates=2); "
         "assert 'torch' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)  # importing it takes two seconds

@@ -20,10 +20,11 @@ from bunraku.generation.guide import (
     warped,
 )
 from bunraku.generation.networks import Networks, Texts
-from bunraku.generation.pack import ExamplePack, packed_stretch
+from bunraku.generation.pack import ExamplePack
 from bunraku.generation.retrieve import Found
 from bunraku.language.parse import clause_of, parse
 from bunraku.language.posing import Manner
+from bunraku_lab.datasets.motions.clips import packed_stretch
 
 WAVE, KICK = Found(0, False, 0.9), Found(1, False, 0.9)
 

@@ -19,17 +19,16 @@ from bunraku.generation.pack import (
     ExamplePack,
     fingerprint,
     load_examples,
-    packed_stretch,
     read_pack,
     said_by,
     stand_well,
     unpacked_stretch,
-    write_pack,
 )
 from bunraku.generation.retrieve import ExampleBank, retrieve, take_of
 from bunraku.language.captions import mirror_words
 from bunraku.language.lexicon import said_cues
 from bunraku.language.parse import clause_of
+from bunraku_lab.datasets.motions.clips import packed_stretch, write_pack
 from bunraku_lab.evaluation.motion.metrics import posed_positions
 
 

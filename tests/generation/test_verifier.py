@@ -7,13 +7,14 @@ import pytest
 from moving_people import kick, person, ramp
 
 from bunraku.generation.candidates import ATTEMPTS, CAPTURED, Candidate, choose, script_scores
-from bunraku.generation.extractor import RADIUS, ExtractorConfig, embed_motions, embed_sentences, load_ranker
+from bunraku.generation.extractor import RADIUS, ExtractorConfig, embed_motions, load_ranker
 from bunraku.generation.features import decode, encode, mirror
 from bunraku.generation.generate import _APART, generate_motions
 from bunraku.generation.verifier import Verdict, verify
 from bunraku.language.captions import mirror_words
 from bunraku.language.encoders import text_encoder
 from bunraku.language.parse import clause_of, clauses_of
+from bunraku_lab.nn.text import embed_sentences
 
 
 def agreement(sentence, motion):

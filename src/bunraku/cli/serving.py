@@ -315,7 +315,7 @@ def mcp_server(folder: Path) -> Any:
         """A tool that gives facts and a picture, and its errors as sentences."""
 
         @functools.wraps(work)
-        async def tool(**arguments: Any) -> Any:
+        async def tool(**arguments: object) -> Any:
             try:
                 async with in_order:
                     answer = await asyncio.to_thread(work, **arguments)

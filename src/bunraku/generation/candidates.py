@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
 
@@ -163,6 +163,22 @@ STANDING, GOING_DOWN = 6, 14
 """Frames for which a person who is about to sit or lie down still stands, and frames in which that is let go of."""
 
 
+class SamplingFields(TypedDict, total=False):
+    """`SamplingSettings` as arguments."""
+
+    steps: int | None
+    guidance: float | None
+    mesh_feature: object | None
+    progress: Callable[[str, float], None] | None
+    checkpoint: str | Path | None
+    candidates: int
+    examples: bool
+    all_led: bool
+    classifier_guidance: bool
+    note: Callable[[str], None] | None
+    held: Networks | None
+
+
 @dataclass(frozen=True)
 class SamplingSettings:
     """How a motion is sampled.
@@ -174,12 +190,12 @@ class SamplingSettings:
             generate for no mesh in particular.
         progress: Called with a stage's name and the share done.
         checkpoint: Weights of the denoiser in place of the shipped ones.
-        candidates: Motions that are drawn for each that is given back, 1 to 16; the ranker chooses (`ranking`). The
+        candidates: Motions that are drawn for each that is given back, 1 to 16; the ranker chooses (`choose`). The
             first has the noise that it has alone. Where none does what the sentence says and nothing else
             (`verifier`), as many are drawn again, at most three times.
         examples: All candidates but the first start from captured examples of people where any fit (`guide`).
         all_led: The first does so too.
-        classifier_guidance: Predictions are guided towards their sentences, as people do them (`classifier_guidance`).
+        classifier_guidance: Predictions are guided towards their sentences, as people do them (`ClassifierGuidance`).
         note: Called with notes on a motion, one line each.
         held: The networks; None loads those of `checkpoint` when they are needed.
 

@@ -186,11 +186,11 @@ class Denoiser:
     """
 
     def __init__(
-        self, config: DenoiserConfig, weights: Weights, notes: dict[str, Any] | None = None,
+        self, config: DenoiserConfig, weights: Weights, notes: Mapping[str, object] | None = None,
         visited: tuple[int, ...] = (),
     ):  # fmt: skip
         self.config, self.visited = config, visited
-        self.notes: dict[str, Any] = notes or {}
+        self.notes: Mapping[str, object] = notes or {}
         width, patch = config.width, config.frames_per_token
         if config.heads < 1 or width % (2 * config.heads) or patch < 1:
             raise ValueError(f"{width} channels cannot be shared by {config.heads} heads, or {patch} frames by a token")
@@ -410,12 +410,12 @@ def load_denoiser_of_few_steps(path: str | Path, few: str | Path) -> Denoiser | 
 
 
 def _built(
-    path: str | Path, state: Mapping[str, np.ndarray], config: dict[str, Any], visited: tuple[int, ...] = ()
+    path: str | Path, state: Mapping[str, np.ndarray], config: dict[str, object], visited: tuple[int, ...] = ()
 ) -> Denoiser:
-    notes = config.pop("notes", None)
+    notes = config.pop("notes", None) or {}
     with fitting_config(path):
         weights = Weights(state)
-        model = Denoiser(denoiser_config(config), weights, dict(notes or {}), visited)
+        model = Denoiser(denoiser_config(config), weights, notes if isinstance(notes, dict) else {}, visited)
         weights.done()
     return model
 

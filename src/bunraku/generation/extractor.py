@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from bunraku.core.files import weights_file
 from bunraku.core.nn.checkpoints import config_of, dated_checkpoint, fitting_config, load_checkpoint
 from bunraku.core.nn.layers import Linear, Norm, Perceptron, Weights, gelu, gelu_slope, softmax, split_heads
 from bunraku.generation.features import FEATURE_SIZE
-from bunraku.language.encoders import TextBatch, TextEncoder
+from bunraku.language.encoders import TextBatch
 
 KIND, RANKER = "extractor", "ranker"  # kinds of checkpoints: the judge, and the ranker
 LONGEST = 196  # frames that the ranker sees at once; longer parts are cut into pieces
@@ -64,9 +63,9 @@ class Extractor:
         ValueError: The weights have other sizes than the config.
     """
 
-    def __init__(self, config: ExtractorConfig, weights: Weights, notes: dict[str, Any] | None = None):
+    def __init__(self, config: ExtractorConfig, weights: Weights, notes: Mapping[str, object] | None = None):
         self.config = config
-        self.notes: dict[str, Any] = notes or {}
+        self.notes: Mapping[str, object] = notes or {}
         width, inner = config.width, config.feedforward
         if config.heads < 1 or width % config.heads or config.frames_per_token < 1:
             raise ValueError(f"{width} channels cannot be shared by {config.heads} heads")
@@ -249,16 +248,6 @@ def embed_motions(extractor: Extractor, motions: Sequence[np.ndarray], batch: in
 def sentence_vectors(extractor: Extractor, batch: TextBatch) -> np.ndarray:
     """The vectors of encoded sentences, shape (B, E), float64."""
     return extractor.text(batch).astype(np.float64)
-
-
-def embed_sentences(extractor: Extractor, encoder: TextEncoder, sentences: Sequence[str]) -> dict[str, np.ndarray]:
-    """The vector of each sentence, float64, shape (E,): one for all rows of a table."""
-    distinct = sorted(set(sentences))
-    vectors: dict[str, np.ndarray] = {}
-    for start in range(0, len(distinct), 256):
-        part = distinct[start : start + 256]
-        vectors.update(zip(part, sentence_vectors(extractor, encoder.encode(part)), strict=True))
-    return vectors
 
 
 def load_extractor(path: str | Path, kind: str = KIND) -> Extractor:

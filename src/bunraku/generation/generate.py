@@ -7,7 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 
@@ -16,9 +16,16 @@ from bunraku.core.geometry.curves import smooth_step
 from bunraku.core.motion import HandleMotion
 from bunraku.core.travel import FADE, GroundPath, _fade, moved, placed_at, put_back, put_back_runs
 from bunraku.errors import MotionError, OptionError
-from bunraku.generation.candidates import MADE_UNTIL, SamplingSettings, arrive, draw_candidates, frames_of, way_of
+from bunraku.generation.candidates import (
+    MADE_UNTIL,
+    SamplingFields,
+    SamplingSettings,
+    arrive,
+    draw_candidates,
+    frames_of,
+    way_of,
+)
 from bunraku.generation.features import FEATURE_SIZE, FeatureStatistics, decode, encode, feature_mask
-from bunraku.language.parse import clauses_of
 from bunraku.language.sentence import Clause
 
 if TYPE_CHECKING:
@@ -29,25 +36,9 @@ if TYPE_CHECKING:
 _APART = 1_000_003  # between the noise of a motion's candidates, so that none is that of another motion of the batch
 
 
-def generate_motion(prompt: str, seconds: float, *, seed: int = 0, **sampling: Any) -> HandleMotion:
-    """A handle motion of the reference body from a sentence (Eq. 2 of TapMo), at the model's 20 frames a second.
-
-    Args:
-        prompt: What the character does, at most 1,000 characters, of which about 30 words are read.
-        seconds: Length [s].
-        seed: The same seed and version give the same motion.
-        sampling: See `SamplingSettings`.
-
-    Raises:
-        OptionError: The prompt or a setting is outside its range.
-        WeightsError: The weights are missing or broken.
-    """
-    return generate_motions([clauses_of([(prompt, seconds)])], seeds=seed, **sampling)[0]
-
-
 def generate_motions(
     scripts: Sequence[Sequence[Clause]], *, seeds: int | Sequence[int] = 0, loop: bool = False,
-    path: GroundPath | None = None, **sampling: Any,
+    path: GroundPath | None = None, **sampling: Unpack[SamplingFields],
 ) -> list[HandleMotion]:  # fmt: skip
     """Handle motions of the reference body, all in one batch, each from one clause or several in a row.
 
@@ -216,7 +207,7 @@ def generated_runs(first: int, after: int, kept: Sequence[int]) -> list[tuple[in
 
 def edit_motion(
     motion: HandleMotion, clause: Clause, *, keep: str | Sequence[str] = (), span: tuple[float, float] | None = None,
-    poses: Sequence[float] = (), seed: int = 0, **sampling: Any,
+    poses: Sequence[float] = (), seed: int = 0, **sampling: Unpack[SamplingFields],
 ) -> HandleMotion:  # fmt: skip
     """The motion with all but what is kept generated anew from a clause. Frames outside the span, those of `poses`, and
     kept handles hold the arrays of `motion` bit for bit.
@@ -261,7 +252,9 @@ def edit_motion(
     return replace(put_back_runs(extended, motion, handles, runs, fade=0), **of_motion)
 
 
-def continue_motion(motion: HandleMotion, script: Sequence[Clause], *, seed: int = 0, **sampling: Any) -> HandleMotion:
+def continue_motion(
+    motion: HandleMotion, script: Sequence[Clause], *, seed: int = 0, **sampling: Unpack[SamplingFields]
+) -> HandleMotion:
     """A new motion that starts in the last pose of another, bit for bit, at its position and speed.
 
     Args:

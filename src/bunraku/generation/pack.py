@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from bunraku.core.arrays import lzma_filters, pack_steps, unpack_steps
+from bunraku.core.arrays import lzma_filters, unpack_steps
 from bunraku.core.body.layout import JOINT_COUNT
-from bunraku.core.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
+from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.errors import WeightsError
 from bunraku.language.lexicon import actions_of, main_actions, said_cues, said_traits
 
@@ -37,13 +37,13 @@ BUSY = "#busy"
 """The same of people who use their hands; gestures take all but these from them."""
 _OTHER_SIDE = {"left": "right", "right": "left"}
 MOST_FRAMES = 2_000  # of one stretch; more in a file is damage
-_METRES, _RADIANS, _ORDER = 5e-4, 2e-3, 2
+METRES, RADIANS, ORDER = 5e-4, 2e-3, 2
 """Steps of a packed stretch, and how often differences are taken: as measured, with one milliradian and first
 differences, 60 stretches took 23 % more bytes.
 """
-_STEPS = 127.0  # into which 1 is parted in a file's unit vectors; a cosine is then off by .003 at the most
+STEPS = 127.0  # into which 1 is parted in a file's unit vectors; a cosine is then off by .003 at the most
 _NUMBERS = 3 + 3 * JOINT_COUNT
-_FILTERS = lzma_filters(9 | lzma.PRESET_EXTREME, 1 << 16)
+FILTERS = lzma_filters(9 | lzma.PRESET_EXTREME, 1 << 16)
 
 
 @dataclass(frozen=True)
@@ -266,17 +266,6 @@ def _encoded(root: np.ndarray, rotations: np.ndarray) -> np.ndarray:
     return encode(body_handle_motion(SkeletalMotion(reference_body().skeleton, rotations, root, FPS)))
 
 
-def packed_stretch(root: np.ndarray, rotations: np.ndarray) -> bytes:
-    """A skeleton's motion in few bytes.
-
-    Args:
-        root: Position of the root in each frame [m], shape (N, 3).
-        rotations: Of the 22 joints relative to their parents, shape (N, 22, 3, 3).
-    """
-    turns = axis_angle_from_matrix(rotations.astype(float)).reshape(len(root), -1)
-    return pack_steps(np.concatenate([root / _METRES, turns / _RADIANS], axis=1), _ORDER, _FILTERS)
-
-
 def unpacked_stretch(data: bytes, frames: int) -> tuple[np.ndarray, np.ndarray]:
     """Root (N, 3) and rotations (N, 22, 3, 3) of packed bytes.
 
@@ -288,49 +277,17 @@ def unpacked_stretch(data: bytes, frames: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _as_motion(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Root (N, 3) and rotations (N, 22, 3, 3) of the numbers that are packed, shape (N, 69)."""
-    turns = (values[:, 3:] * _RADIANS).reshape(len(values), JOINT_COUNT, 3)
-    return values[:, :3] * _METRES, matrix_from_axis_angle(turns)
+    turns = (values[:, 3:] * RADIANS).reshape(len(values), JOINT_COUNT, 3)
+    return values[:, :3] * METRES, matrix_from_axis_angle(turns)
 
 
 def _stretch_values(data: Sequence[bytes], frames: Sequence[int]) -> np.ndarray:
     try:
         if not all(0 < count <= MOST_FRAMES for count in frames):
             raise ValueError
-        return unpack_steps(data, frames, _NUMBERS, _ORDER, _FILTERS)
+        return unpack_steps(data, frames, _NUMBERS, ORDER, FILTERS)
     except ValueError as error:
         raise WeightsError("the examples are damaged; install Bunraku again or build them again") from error
-
-
-def write_pack(path: str | Path, pack: ExamplePack, notes: Mapping[str, object]) -> Path:
-    """Write examples with notes on their sources and choice, with those in which a person stands well, and with what
-    they show.
-    """
-    from bunraku.core.nn.checkpoints import save_checkpoint
-
-    table = [[example.name, list(example.texts), example.frames, list(example.loop or ())] for example in pack.examples]
-    texts = np.rint(_STEPS * pack.texts).astype(np.int8)
-    sided = np.flatnonzero((texts[0] != texts[1]).any(axis=1))  # most sentences are the same in the mirror
-    readings = pack.said
-    distinct = {said: number for number, said in enumerate(dict.fromkeys(readings))}
-    tensors: dict[str, np.ndarray] = {
-        "data": np.frombuffer(b"".join(pack.data), np.uint8),
-        "sizes": np.array([len(part) for part in pack.data], np.int32),
-        "owners": pack.owners.astype(np.int32),
-        "readings": np.array([distinct[said] for said in readings], np.int32),
-        "texts": texts[0],
-        "sided": sided.astype(np.int32),
-        "mirrored": texts[1, sided],
-        "motions": np.rint(_STEPS * pack.motions).astype(np.int8),
-    }
-    config: dict[str, object] = {
-        "examples": table,
-        "ranker": pack.ranker,
-        "notes": notes,
-        "stand": list(stand_well(pack)),
-        "readings": [[sorted(part) for part in said] for said in distinct],
-        "radians": _RADIANS,
-    }
-    return save_checkpoint(path, tensors, config, KIND, half=True)
 
 
 def read_pack(path: str | Path) -> ExamplePack:
@@ -342,7 +299,7 @@ def read_pack(path: str | Path) -> ExamplePack:
     from bunraku.core.nn.checkpoints import fitting_config, load_checkpoint
 
     state, config = load_checkpoint(path, KIND)
-    if config.get("radians") != _RADIANS:
+    if config.get("radians") != RADIANS:
         raise WeightsError(
             f"{path}: these examples are of an older version; build them again with 'bunraku data examples --add-to "
             "shipped', or take them away"
@@ -379,7 +336,7 @@ def read_pack(path: str | Path) -> ExamplePack:
 
 def _units(vectors: np.ndarray) -> np.ndarray:
     """Unit vectors of a file."""
-    return vectors.astype(np.float32) / _STEPS
+    return vectors.astype(np.float32) / STEPS
 
 
 def _both_sides(state: Mapping[str, np.ndarray]) -> np.ndarray:

@@ -141,7 +141,7 @@ class State:
             self.store.drop("exports", old["id"])
         return self.store.new("exports", {"file": file, "title": title, "state": "waiting"})
 
-    def export(self, kind: str, file: str, title: str, params: Mapping[str, object], **about: Any) -> dict[str, Any]:
+    def export(self, kind: str, file: str, title: str, params: Mapping[str, object], **about: object) -> dict[str, Any]:
         """Queue the job that writes a copy. Errors are those of `Jobs.submit`.
 
         Args:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from torch import Tensor, nn
 
 from bunraku.core.nn.checkpoints import config_of
 from bunraku.errors import WeightsError
+from bunraku.generation import extractor as running
 from bunraku.generation.extractor import FARTHEST, KIND, RADIUS, ExtractorConfig
 from bunraku.generation.features import FEATURE_SIZE, feature_weights
 from bunraku.language import encoders
@@ -182,3 +183,15 @@ def load_extractor(path: str | Path, device: str | torch.device = "cpu", kind: s
             "again"
         ) from error
     return model.to(device).eval().requires_grad_(False)
+
+
+def embed_sentences(
+    extractor: running.Extractor, encoder: encoders.TextEncoder, sentences: Sequence[str]
+) -> dict[str, np.ndarray]:
+    """The vector of each sentence, float64, shape (E,): one for all rows of a table."""
+    distinct = sorted(set(sentences))
+    vectors: dict[str, np.ndarray] = {}
+    for start in range(0, len(distinct), 256):
+        part = distinct[start : start + 256]
+        vectors.update(zip(part, running.sentence_vectors(extractor, encoder.encode(part)), strict=True))
+    return vectors

@@ -18,7 +18,7 @@ from bunraku.core.body.joint_rotations import skeleton_from_handles
 from bunraku.core.body.reference import reference_body
 from bunraku.core.motion import SkeletalMotion
 from bunraku.core.nn.checkpoints import load_checkpoint, shipped_checkpoint
-from bunraku.generation.extractor import RADIUS, Extractor, embed_motions, embed_sentences, load_ranker
+from bunraku.generation.extractor import RADIUS, Extractor, embed_motions, load_ranker
 from bunraku.generation.features import FeatureStatistics, body_handle_motion, decode, encode, mirror
 from bunraku.generation.library import all_clips
 from bunraku.generation.pack import (
@@ -32,10 +32,8 @@ from bunraku.generation.pack import (
     ExamplePack,
     Said,
     fingerprint,
-    packed_stretch,
     read_pack,
     said_by,
-    write_pack,
 )
 from bunraku.generation.verifier import SIDES, Track
 from bunraku.gestures.catalogue import STANDING, gestures
@@ -45,9 +43,10 @@ from bunraku.language.encoders import TextEncoder, text_encoder
 from bunraku.language.lexicon import main_actions
 from bunraku.language.vocabulary import is_known, own_words, words_of, write_own_words
 from bunraku_lab.datasets.motions.build import split_of
-from bunraku_lab.datasets.motions.clips import action_labels, load_watched
+from bunraku_lab.datasets.motions.clips import action_labels, load_watched, packed_stretch, write_pack
 from bunraku_lab.description.phrases import runs
 from bunraku_lab.description.wording import computed_sentence, inside
+from bunraku_lab.nn.text import embed_sentences
 from bunraku_lab.training.rows.clip_rows import ClipSet, Mixture, standing_stretches
 from bunraku_lab.training.rows.clips import ClipEntry, load_clips
 

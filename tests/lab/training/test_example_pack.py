@@ -9,13 +9,14 @@ import pytest
 import torch
 
 from bunraku.core.nn.checkpoints import load_checkpoint
-from bunraku.generation.extractor import RADIUS, RANKER, ExtractorConfig, embed_motions, embed_sentences
+from bunraku.generation.extractor import RADIUS, RANKER, ExtractorConfig, embed_motions
 from bunraku.generation.features import body_handle_motion, encode, mirror
-from bunraku.generation.pack import KIND, read_pack, write_pack
+from bunraku.generation.pack import KIND, read_pack
 from bunraku.gestures.catalogue import STANDING, gestures
 from bunraku.gestures.play import gesture_motion
 from bunraku.language.vocabulary import FILE
-from bunraku_lab.nn.text import Extractor, save_extractor
+from bunraku_lab.datasets.motions.clips import write_pack
+from bunraku_lab.nn.text import Extractor, embed_sentences, save_extractor
 from bunraku_lab.training import example_pack
 from bunraku_lab.training.example_pack import (
     BUSY_BOUNDS,

@@ -372,7 +372,7 @@ class GltfBuilder:
 
 
 def matte_material(
-    name: str, color: Sequence[float] | None = None, texture: int | None = None, **more: Any
+    name: str, color: Sequence[float] | None = None, texture: int | None = None, **more: object
 ) -> dict[str, Any]:
     """A glTF material that is rough and no metal, as files of formats without such properties mean it.
 

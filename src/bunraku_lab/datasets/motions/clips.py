@@ -6,7 +6,7 @@ import functools
 import json
 import lzma
 import re
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -21,8 +21,11 @@ from bunraku.core.body.reference import reference_body
 from bunraku.core.files import atomic_write, check_input
 from bunraku.core.geometry.rotations import axis_angle_from_matrix, matrix_from_6d, matrix_from_axis_angle, matrix_to_6d
 from bunraku.core.motion import HandleMotion, SkeletalMotion
+from bunraku.core.nn.checkpoints import save_checkpoint
 from bunraku.errors import FormatError, WeightsError
 from bunraku.generation.features import body_handle_motion
+from bunraku.generation.pack import FILTERS, METRES, ORDER, RADIANS, STEPS, ExamplePack, stand_well
+from bunraku.generation.pack import KIND as EXAMPLES
 
 _CUT = "turn_"
 """How the names of clips begin that were cut out of others (`turns`)."""
@@ -493,3 +496,44 @@ def read_bundle(path: str | Path) -> Bundle:
     if check_input(path) > MOST_BYTES:
         raise FormatError(path, f"a bundle has at most {MOST_BYTES >> 30} GiB; write a smaller one")
     return _read(path, path.stat().st_mtime_ns)
+
+
+def packed_stretch(root: np.ndarray, rotations: np.ndarray) -> bytes:
+    """A skeleton's motion in few bytes.
+
+    Args:
+        root: Position of the root in each frame [m], shape (N, 3).
+        rotations: Of the 22 joints relative to their parents, shape (N, 22, 3, 3).
+    """
+    turns = axis_angle_from_matrix(rotations.astype(float)).reshape(len(root), -1)
+    return pack_steps(np.concatenate([root / METRES, turns / RADIANS], axis=1), ORDER, FILTERS)
+
+
+def write_pack(path: str | Path, pack: ExamplePack, notes: Mapping[str, object]) -> Path:
+    """Write examples with notes on their sources and choice, with those in which a person stands well, and with what
+    they show.
+    """
+    table = [[example.name, list(example.texts), example.frames, list(example.loop or ())] for example in pack.examples]
+    texts = np.rint(STEPS * pack.texts).astype(np.int8)
+    sided = np.flatnonzero((texts[0] != texts[1]).any(axis=1))  # most sentences are the same in the mirror
+    readings = pack.said
+    distinct = {said: number for number, said in enumerate(dict.fromkeys(readings))}
+    tensors: dict[str, np.ndarray] = {
+        "data": np.frombuffer(b"".join(pack.data), np.uint8),
+        "sizes": np.array([len(part) for part in pack.data], np.int32),
+        "owners": pack.owners.astype(np.int32),
+        "readings": np.array([distinct[said] for said in readings], np.int32),
+        "texts": texts[0],
+        "sided": sided.astype(np.int32),
+        "mirrored": texts[1, sided],
+        "motions": np.rint(STEPS * pack.motions).astype(np.int8),
+    }
+    config: dict[str, object] = {
+        "examples": table,
+        "ranker": pack.ranker,
+        "notes": notes,
+        "stand": list(stand_well(pack)),
+        "readings": [[sorted(part) for part in said] for said in distinct],
+        "radians": RADIANS,
+    }
+    return save_checkpoint(path, tensors, config, EXAMPLES, half=True)

@@ -253,9 +253,10 @@ def _walk(one: Subject, handles: Handles) -> dict[str, float]:
 
 @cache
 def _generated() -> HandleMotion:
-    from bunraku.generation.generate import generate_motion
+    from bunraku.generation.generate import generate_motions
+    from bunraku.language.parse import clauses_of
 
-    return generate_motion(SENTENCE, 4.0, seed=0)
+    return generate_motions([clauses_of([(SENTENCE, 4.0)])])[0]
 
 
 def _fitted(one: Subject, handles: Handles) -> HandleMotion:

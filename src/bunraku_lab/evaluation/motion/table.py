@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from bunraku.errors import OptionError
-from bunraku.generation.extractor import embed_motions, embed_sentences, load_extractor
+from bunraku.generation.extractor import embed_motions, load_extractor
 from bunraku.language.encoders import encoder_of
 from bunraku_lab.evaluation.motion.metrics import (
     diversity,
@@ -43,6 +43,7 @@ from bunraku_lab.evaluation.motion.samples import (
 )
 from bunraku_lab.evaluation.report import Bar
 from bunraku_lab.nn.checkpoints import lab_checkpoint
+from bunraku_lab.nn.text import embed_sentences
 from bunraku_lab.training.rows.clips import ClipEntry, load_clips, people
 
 Report = Callable[[str, float], None]
