@@ -15,19 +15,7 @@ from packaging.utils import canonicalize_name
 import bunraku
 
 ROOT = Path(__file__).resolve().parents[1]
-HEAVY = (
-    "torch",
-    "transformers",
-    "diffusers",
-    "trimesh",
-    "av",
-    "scipy",
-    "igl",
-    "pygltflib",
-    "tyro",
-    "rich",
-    "numpy",
-)
+HEAVY = ("torch", "transformers", "diffusers", "trimesh", "av", "scipy", "igl", "pygltflib", "tyro", "rich", "numpy")
 
 
 def loaded_after(code: str) -> set[str]:

@@ -25,13 +25,7 @@ from bunraku.apparel.learned.features import (
 )
 from bunraku.apparel.learned.network import DisplacementConfig, FoldedNetwork
 from bunraku.apparel.learned.network import past_of_states as folded_past
-from bunraku.apparel.learned.player import (
-    ApparelPlayer,
-    Carrier,
-    Safety,
-    SafetySettings,
-    node_turns,
-)
+from bunraku.apparel.learned.player import ApparelPlayer, Carrier, Safety, SafetySettings, node_turns
 from bunraku.apparel.nodes import NodeGraph, apparel_nodes
 from bunraku.core.body.layout import JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS
 from bunraku.core.body.reference import reference_body
@@ -39,13 +33,7 @@ from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.core.motion import line_up
 from bunraku.errors import WeightsError
 from bunraku_lab.evaluation.apparel.clips import KnownPlayer
-from bunraku_lab.nn.apparel import (
-    DisplacementNetwork,
-    Inputs,
-    clip_features,
-    mirror_global,
-    past_of_states,
-)
+from bunraku_lab.nn.apparel import DisplacementNetwork, Inputs, clip_features, mirror_global, past_of_states
 from bunraku_lab.nn.graph import EdgeBlock, node_graph
 from bunraku_lab.nn.running import running_displacement
 

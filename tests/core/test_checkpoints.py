@@ -15,13 +15,7 @@ from safetensors.numpy import save_file
 from bunraku.anatomy.handles.networks import load_orientation_predictor, load_predictor
 from bunraku.apparel.learned.network import load_displacement
 from bunraku.apparel.part_network import load_parts
-from bunraku.core.files import (
-    PACKAGE_WEIGHTS,
-    STALE,
-    atomic_write,
-    remove_leftovers,
-    weights_file,
-)
+from bunraku.core.files import PACKAGE_WEIGHTS, STALE, atomic_write, remove_leftovers, weights_file
 from bunraku.core.nn.checkpoints import load_checkpoint, save_checkpoint, shipped_checkpoint
 from bunraku.errors import WeightsError
 from bunraku.generation.denoiser import load_denoiser

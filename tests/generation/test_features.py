@@ -8,14 +8,7 @@ from bunraku.core.geometry.rotations import heading, matrix_from_axis_angle, mat
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin
 from bunraku.generation.composition import join_point, splice
-from bunraku.generation.features import (
-    FEATURE_SIZE,
-    FeatureStatistics,
-    decode,
-    encode,
-    feature_weights,
-    mirror,
-)
+from bunraku.generation.features import FEATURE_SIZE, FeatureStatistics, decode, encode, feature_weights, mirror
 
 
 def smooth_motion(frames=60, seed=0, fps=20.0, canonical=False):

@@ -20,13 +20,7 @@ from bunraku.errors import MotionError, OptionError, WeightsError
 from bunraku.generation.candidates import STANDING
 from bunraku.generation.composition import overlaid, straightened, turned_as_asked
 from bunraku.generation.features import FEATURE_SIZE, body_handle_motion, decode, encode
-from bunraku.generation.generate import (
-    adapt,
-    continue_motion,
-    edit_motion,
-    generate_motions,
-    span_frames,
-)
+from bunraku.generation.generate import adapt, continue_motion, edit_motion, generate_motions, span_frames
 from bunraku.gestures.catalogue import gestures
 from bunraku.gestures.limb_gesture import limb_gesture
 from bunraku.gestures.play import gesture_motion

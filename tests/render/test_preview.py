@@ -20,13 +20,7 @@ from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.errors import FormatError, OptionError
 from bunraku.files.clips import load_animation
-from bunraku.render import (
-    contact_sheet,
-    render_animation,
-    render_frames,
-    save_preview,
-    save_still,
-)
+from bunraku.render import contact_sheet, render_animation, render_frames, save_preview, save_still
 from bunraku.render import frames as frames_module
 from bunraku.render.pictures import page
 from bunraku.render.preview import save_beside

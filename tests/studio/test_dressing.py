@@ -41,13 +41,7 @@ from bunraku.studio.dressing import (
     shown_mask,
 )
 from bunraku.studio.tasks import run_task
-from bunraku.studio.wire import (
-    Dressed,
-    load_take,
-    packed_clip,
-    save_handles,
-    save_take,
-)
+from bunraku.studio.wire import Dressed, load_take, packed_clip, save_handles, save_take
 from bunraku.studio.workspace import Settings, Workspace, opened_character
 from bunraku_lab.synthetic.samples import make_sample
 from bunraku_lab.synthetic.stock_motions import stock_motion

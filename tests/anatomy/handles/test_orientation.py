@@ -7,13 +7,7 @@ import numpy as np
 import pytest
 from gltf_files import CUBE_FACES
 
-from bunraku.anatomy.handles.orientation import (
-    SURE,
-    Orientation,
-    guess_orientation,
-    resolve_axes,
-    upright,
-)
+from bunraku.anatomy.handles.orientation import SURE, Orientation, guess_orientation, resolve_axes, upright
 from bunraku.anatomy.handles.orientation_evidence import Combination, ShapeView, gathered, kind_weights
 from bunraku.core.character import Character
 from bunraku.core.geometry.axes import ORIENTATIONS, default_orientation, upright_rotation

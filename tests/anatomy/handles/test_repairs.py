@@ -71,10 +71,7 @@ def ear(position):
 def test_an_ear_that_was_called_a_hand_goes_back_to_the_trunk():
     mesh = box_body()
     position, weights = hard(
-        mesh,
-        ("left_wrist", lambda p: arms(p, 1)),
-        ("right_wrist", lambda p: arms(p, -1)),
-        ("left_wrist", ear),
+        mesh, ("left_wrist", lambda p: arms(p, 1)), ("right_wrist", lambda p: arms(p, -1)), ("left_wrist", ear)
     )
     out = mended(JoinRegions(), mesh, weights)
     assert (out[ear(position)].argmax(axis=1) == H["spine2"]).all()

@@ -4,12 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from bunraku.core.geometry.graph import (
-    bridge_edges,
-    clean_mesh,
-    mesh_parts,
-    unique_edges,
-)
+from bunraku.core.geometry.graph import bridge_edges, clean_mesh, mesh_parts, unique_edges
 from bunraku.errors import CharacterError
 
 

@@ -24,11 +24,7 @@ from bunraku_lab.datasets.characters.training_character import (
     random_pose,
 )
 from bunraku_lab.evaluation.handles.measures import carried
-from bunraku_lab.evaluation.handles.rest_poses import (
-    REST_POSES,
-    limb_directions,
-    posed_limbs,
-)
+from bunraku_lab.evaluation.handles.rest_poses import REST_POSES, limb_directions, posed_limbs
 from bunraku_lab.evaluation.handles.subjects import ARCHIVE, AVATARS, WARDROBE, detailed_subjects, find_files, subject
 from bunraku_lab.evaluation.handles.table import (
     BARS,

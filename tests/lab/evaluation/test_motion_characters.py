@@ -8,13 +8,7 @@ import pytest
 from bunraku.core.body.layout import HANDLE_COUNT
 from bunraku.core.body.reference import reference_body
 from bunraku.core.motion import HandleMotion
-from bunraku_lab.evaluation.motion.characters import (
-    arap_loss,
-    gauge,
-    measure,
-    pooled,
-    stage_effects,
-)
+from bunraku_lab.evaluation.motion.characters import arap_loss, gauge, measure, pooled, stage_effects
 
 FRAMES = 40
 CM = 170 / reference_body().character().height  # at human size, for each metre of the reference body

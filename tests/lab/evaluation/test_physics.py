@@ -16,12 +16,7 @@ from bunraku.core.body.reference import reference_body
 from bunraku.core.skinning import skin
 from bunraku.errors import CharacterError
 from bunraku_lab.datasets.apparel.checks import deep_inside
-from bunraku_lab.evaluation.physics import (
-    PHYSICS_BARS,
-    apparel_chains,
-    chain_lengths,
-    measure_physics,
-)
+from bunraku_lab.evaluation.physics import PHYSICS_BARS, apparel_chains, chain_lengths, measure_physics
 from bunraku_lab.synthetic.samples import make_sample
 from bunraku_lab.synthetic.stock_motions import STOCK_MOTIONS, stock_motion
 from bunraku_lab.synthetic.wardrobe import wardrobe_character

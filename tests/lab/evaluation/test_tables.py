@@ -13,13 +13,7 @@ from bunraku.core.geometry.rotations import matrix_y
 from bunraku_lab.cli.evaluate_motion import EvaluateTables
 from bunraku_lab.evaluation.report import Report
 from bunraku_lab.evaluation.tables.measured import PAPERS, TablesConfig, measure_tables
-from bunraku_lab.evaluation.tables.paper_table import (
-    Group,
-    PaperRow,
-    PaperTable,
-    measured_table,
-    shown_table,
-)
+from bunraku_lab.evaluation.tables.paper_table import Group, PaperRow, PaperTable, measured_table, shown_table
 from bunraku_lab.evaluation.tables.tapmo import body_samples
 
 TABLE = PaperTable(

@@ -3,18 +3,8 @@
 import numpy as np
 import torch
 
-from bunraku_lab.nn.blend_shapes import (
-    MeshConv,
-    NbsConfig,
-    NbsNetwork,
-    edge_mesh,
-)
-from bunraku_lab.nn.pose_transfer import (
-    GraphUnit,
-    TransferConfig,
-    TransferNetwork,
-    part_graph,
-)
+from bunraku_lab.nn.blend_shapes import MeshConv, NbsConfig, NbsNetwork, edge_mesh
+from bunraku_lab.nn.pose_transfer import GraphUnit, TransferConfig, TransferNetwork, part_graph
 
 FACES = np.array([[0, 1, 2], [0, 2, 3]])  # a square of two triangles
 EDGES = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [2, 3]])

@@ -16,13 +16,7 @@ from bunraku_lab.datasets.characters.training_character import TrainingCharacter
 from bunraku_lab.synthetic.dressed import Wardrobe, dressed_person, extras
 from bunraku_lab.synthetic.dressed.garments import BodyShape, Piece, fit, joined, read_mhclo
 from bunraku_lab.synthetic.dressed.people import melted, simplified
-from bunraku_lab.synthetic.makehuman import (
-    BASE_VERTICES,
-    BODY_VERTICES,
-    MakeHumanBody,
-    limb_rotations,
-    pose_points,
-)
+from bunraku_lab.synthetic.makehuman import BASE_VERTICES, BODY_VERTICES, MakeHumanBody, limb_rotations, pose_points
 
 J = {name: joint for joint, name in enumerate(JOINT_NAMES)}
 

@@ -17,11 +17,7 @@ from bunraku.generation.features import encode
 from bunraku_lab.evaluation.motion.characters import animation_arap
 from bunraku_lab.nn.checkpoints import load_training_state
 from bunraku_lab.nn.denoiser import joint_offsets, load_denoiser, save_denoiser
-from bunraku_lab.training.adaptation.labels import (
-    EdgeSystem,
-    arap_labels,
-    edge_system,
-)
+from bunraku_lab.training.adaptation.labels import EdgeSystem, arap_labels, edge_system
 from bunraku_lab.training.adaptation.train import AdaptationConfig, _Run, train_adaptation
 from bunraku_lab.training.losses.meshes import fit_locals
 

@@ -15,14 +15,7 @@ from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku_lab.nn.graph import node_graph
 from bunraku_lab.training.apparel.body import BodyConfig, BodyNetwork
 from bunraku_lab.training.apparel.meshes import joint_distances, sampled_mesh
-from bunraku_lab.training.apparel.refinement import (
-    BASIS,
-    FREE,
-    RefinementConfig,
-    RefinementNetwork,
-    refined,
-    seam_of,
-)
+from bunraku_lab.training.apparel.refinement import BASIS, FREE, RefinementConfig, RefinementNetwork, refined, seam_of
 from bunraku_lab.training.losses.motion import edge_loss, mask_loss, smoothness_loss, vertex_loss
 
 

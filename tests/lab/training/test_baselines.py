@@ -14,13 +14,7 @@ from bunraku.core.skinning import skin
 from bunraku.errors import FormatError
 from bunraku_lab.nn.blend_shapes import NbsConfig, NbsNetwork
 from bunraku_lab.nn.pose_transfer import TransferConfig, TransferNetwork
-from bunraku_lab.training.baselines.banks import (
-    ClothedSample,
-    clothed_target,
-    drawn_pairs,
-    posed_sample,
-    rootless,
-)
+from bunraku_lab.training.baselines.banks import ClothedSample, clothed_target, drawn_pairs, posed_sample, rootless
 from bunraku_lab.training.baselines.nbs import NbsTrainConfig, NbsTrainer
 from bunraku_lab.training.baselines.transfer import TransferTrainConfig, TransferTrainer
 

@@ -13,11 +13,7 @@ from bunraku.generation.features import ROOT_SIZE, FeatureStatistics, decode, mi
 from bunraku_lab.description.captions import creature_variants
 from bunraku_lab.description.phrases import Phrase
 from bunraku_lab.training.rows.clip_rows import ENOUGH, ClipSet, EventPool, Mixture, link
-from bunraku_lab.training.rows.clips import (
-    TrainingClip,
-    load_clips,
-    stretch_variants,
-)
+from bunraku_lab.training.rows.clips import TrainingClip, load_clips, stretch_variants
 
 
 def entry(features, text, split="train"):

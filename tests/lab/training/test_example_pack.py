@@ -18,13 +18,7 @@ from bunraku.language.vocabulary import FILE
 from bunraku_lab.datasets.motions.clips import write_pack
 from bunraku_lab.nn.text import Extractor, embed_sentences, save_extractor
 from bunraku_lab.training import example_pack
-from bunraku_lab.training.example_pack import (
-    BUSY_BOUNDS,
-    IDLE_BOUNDS,
-    ExampleSettings,
-    build_examples,
-    idling,
-)
+from bunraku_lab.training.example_pack import BUSY_BOUNDS, IDLE_BOUNDS, ExampleSettings, build_examples, idling
 
 FEW = gestures()[:12]
 
