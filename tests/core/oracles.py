@@ -1,6 +1,7 @@
 """Skinning and rigid registration as their definitions read, for tests."""
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from bunraku.core.body.layout import JOINT_COUNT, JOINT_PARENTS
 from bunraku.core.body.reference import reference_body
@@ -51,3 +52,14 @@ def joint_errors(motion, found):
     upper = transforms[:, above]
     other = posed_points(upper, body.joints)
     return np.asarray(np.linalg.norm((own + other) / 2 - found.world()[1], axis=-1).mean(axis=0))
+
+
+def registration_case():
+    """Points (120, 3), where five frames have them, and weights of six parts."""
+    rng = np.random.default_rng(0)
+    source = rng.normal(size=(120, 3))
+    weights = rng.random((120, 6)) ** 6
+    weights /= weights.sum(axis=1, keepdims=True)
+    turns = Rotation.random(5, random_state=2).as_matrix()
+    targets = source @ turns.transpose(0, 2, 1) + 0.3 * rng.normal(size=(5, 120, 3)) + rng.normal(size=(5, 1, 3))
+    return source, targets, weights

@@ -169,3 +169,22 @@ class Page:
         self.close()
         if kind is None:
             self.check()
+
+
+@contextlib.contextmanager
+def page_of(folder, sample, *size, **how):
+    """The page of a studio of its own with a sample character that walks."""
+    from conftest import Studio
+
+    studio = Studio(folder / "folder")
+    try:
+        one = studio.sample(sample)["id"]
+        made = studio.animate(one, "walks", 1)
+        studio.done(made["job"])
+        with chromium() as browser, Page(browser, studio, *size, **how) as page:
+            page.until("window.studio && studio.view() && studio.online.value")
+            page.value(f"studio.change('', {{ character: '{one}', take: '{made['takes'][0]}' }})")
+            page.shown()
+            yield page
+    finally:
+        studio.stop()

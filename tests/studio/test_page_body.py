@@ -3,8 +3,7 @@
 import time
 
 import pytest
-from browser import CHROMIUM, ROOT, VITE, Page, chromium
-from conftest import Studio
+from browser import CHROMIUM, ROOT, VITE, page_of
 
 pytest.importorskip("playwright", reason="the page is tested with playwright: make browser")
 if CHROMIUM is None or not VITE.exists():
@@ -19,18 +18,8 @@ READY = "studio.character.value.state === 'ready'"
 
 @pytest.fixture
 def page(tmp_path):
-    studio = Studio(tmp_path / "folder")
-    try:
-        one = studio.sample("robot")["id"]
-        made = studio.animate(one, "walks", 1)
-        studio.done(made["job"])
-        with chromium() as browser, Page(browser, studio) as page:
-            page.until("window.studio && studio.view() && studio.online.value")
-            page.value(f"studio.change('', {{ character: '{one}', take: '{made['takes'][0]}' }})")
-            page.shown()
-            yield page
-    finally:
-        studio.stop()
+    with page_of(tmp_path, "robot") as page:
+        yield page
 
 
 def test_a_joint_is_dragged_and_a_part_gets_another_kind(page):

@@ -1,8 +1,7 @@
 """A character that never stops, in a real browser: told, steered, looked at, kept."""
 
 import pytest
-from browser import CHROMIUM, ROOT, VITE, Page, chromium
-from conftest import Studio
+from browser import CHROMIUM, ROOT, VITE, page_of
 
 pytest.importorskip("playwright", reason="the page is tested with playwright: make browser")
 if CHROMIUM is None or not VITE.exists():
@@ -23,19 +22,9 @@ PLACE = "studio.view().panes[0].model.bones[0].position.toArray()"
 
 @pytest.fixture
 def page(tmp_path):
-    studio = Studio(tmp_path / "folder")
-    try:
-        one = studio.sample("person")["id"]
-        made = studio.animate(one, "walks", 1)
-        studio.done(made["job"])
-        # few pixels, for a browser without a GPU to draw as often as it would with one
-        with chromium() as browser, Page(browser, studio, 800, 500, scale=0.25) as page:
-            page.until("window.studio && studio.view() && studio.online.value")
-            page.value(f"studio.change('', {{ character: '{one}', take: '{made['takes'][0]}' }})")
-            page.shown()
-            yield page
-    finally:
-        studio.stop()
+    # few pixels, for a browser without a GPU to draw as often as it would with one
+    with page_of(tmp_path, "person", 800, 500, scale=0.25) as page:
+        yield page
 
 
 def test_it_does_what_it_is_told_looks_at_the_mouse_and_is_kept(page):

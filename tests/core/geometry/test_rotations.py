@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from oracles import register_reference
+from oracles import register_reference, registration_case
 from scipy.spatial.transform import Rotation, Slerp
 
 from bunraku.core.geometry import rotations as rot
@@ -169,17 +169,6 @@ def test_values_between_frames_are_those_of_scipy(want):
         )
 
 
-@pytest.fixture
-def case():
-    rng = np.random.default_rng(0)
-    source = rng.normal(size=(120, 3))
-    weights = rng.random((120, 6)) ** 6
-    weights /= weights.sum(axis=1, keepdims=True)
-    turns = Rotation.random(5, random_state=2).as_matrix()
-    targets = source @ turns.transpose(0, 2, 1) + 0.3 * rng.normal(size=(5, 120, 3)) + rng.normal(size=(5, 1, 3))
-    return source, targets, weights
-
-
 def test_quarter_turn_by_hand():
     """A square of side 2 about (1, 0, 0) turns a quarter about +Z and goes up by 5: worked out on paper."""
     source = np.array([[0, -1, 0], [2, -1, 0], [2, 1, 0], [0, 1, 0]], float)
@@ -189,8 +178,8 @@ def test_quarter_turn_by_hand():
     np.testing.assert_allclose(translations[0, 0], [0, 0, 5], atol=1e-12)
 
 
-def test_fast_path_equals_reference(case):
-    source, targets, weights = case
+def test_fast_path_equals_reference():
+    source, targets, weights = registration_case()
     rotations, translations = register(source, targets, weights)
     for frame in range(5):
         for part in range(6):
@@ -200,8 +189,8 @@ def test_fast_path_equals_reference(case):
             np.testing.assert_allclose(part_means(source, weights)[part], handle, atol=1e-12)
 
 
-def test_agrees_with_align_vectors(case):
-    source, targets, weights = case
+def test_agrees_with_align_vectors():
+    source, targets, weights = registration_case()
     rotations, _ = register(source, targets, weights)
     for part in range(6):
         w = weights[:, part]
@@ -212,8 +201,8 @@ def test_agrees_with_align_vectors(case):
         )
 
 
-def test_a_mirrored_target_gives_a_rotation_still(case):
-    source, _, weights = case
+def test_a_mirrored_target_gives_a_rotation_still():
+    source, _, weights = registration_case()
     rotations, _ = register(source, (source * [-1, 1, 1])[None], weights)
     np.testing.assert_allclose(np.linalg.det(rotations), 1, atol=1e-9)
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from scipy.spatial.transform import Rotation
+from oracles import registration_case
 
 from bunraku.core.skinning import part_means, register
 from bunraku.generation.features import FEATURE_SIZE, ROOT_SIZE, decode
@@ -70,19 +70,8 @@ def test_semantic_loss_by_hand_and_without_labels():
     assert losses.semantic_loss(logits, target * 0, areas).item() == 0
 
 
-@pytest.fixture
-def case():
-    rng = np.random.default_rng(0)
-    source = rng.normal(size=(120, 3))
-    weights = rng.random((120, 6)) ** 6
-    weights /= weights.sum(axis=1, keepdims=True)
-    turns = Rotation.random(5, random_state=2).as_matrix()
-    targets = source @ turns.transpose(0, 2, 1) + 0.3 * rng.normal(size=(5, 120, 3)) + rng.normal(size=(5, 1, 3))
-    return source, targets, weights
-
-
-def test_torch_equals_numpy(case):
-    source, targets, weights = case
+def test_torch_equals_numpy():
+    source, targets, weights = case = registration_case()
     rotations, translations = register(source, targets, weights)
     theirs = register_torch(*(torch.tensor(array) for array in case))
     np.testing.assert_allclose(theirs[0], rotations, atol=1e-9)
@@ -90,8 +79,9 @@ def test_torch_equals_numpy(case):
     np.testing.assert_allclose(theirs[2], part_means(source, weights), atol=1e-12)
 
 
-def test_torch_gradients_equal_differences(case):
-    source, targets, weights = (torch.tensor(array[:12] if array.ndim == 2 else array[:2, :12]) for array in case)
+def test_torch_gradients_equal_differences():
+    cut = (array[:12] if array.ndim == 2 else array[:2, :12] for array in registration_case())
+    source, targets, weights = map(torch.tensor, cut)
     weights = weights[:, :2].clone().requires_grad_()
 
     def moved(w):
