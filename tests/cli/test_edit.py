@@ -80,44 +80,14 @@ def test_a_span_of_an_npz(folder, character, capsys):
 @needs_weights
 def test_after_another_clip_and_loops(folder):
     person, clip = str(folder / "person.glb"), load_clip(folder / "clip.glb")
-    assert (
-        main(
-            [
-                "animate",
-                person,
-                "jumps",
-                "--seconds",
-                "1",
-                "--after",
-                str(folder / "clip.glb"),
-                "-o",
-                str(folder / "next.npz"),
-                *QUICK,
-            ]
-        )
-        == 0
-    )
+    words = ["animate", person, "jumps", "--seconds", "1", "--after", str(folder / "clip.glb")]
+    assert main([*words, "-o", str(folder / "next.npz"), *QUICK]) == 0
     found = load_clip(folder / "next.npz").motion
     assert np.array_equal(found.rotations[0], clip.motion.rotations[-1]) and np.array_equal(
         found.root_translation[0], clip.motion.root_translation[-1]
     )
-    assert (
-        main(
-            [
-                "animate",
-                person,
-                "walks",
-                "--seconds",
-                "1.5",
-                "--loop",
-                "--in-place",
-                "-o",
-                str(folder / "loop.npz"),
-                *QUICK,
-            ]
-        )
-        == 0
-    )
+    words = ["animate", person, "walks", "--seconds", "1.5", "--loop", "--in-place"]
+    assert main([*words, "-o", str(folder / "loop.npz"), *QUICK]) == 0
     found = load_clip(folder / "loop.npz").motion
     assert len(found) == 31 and np.array_equal(found.rotations[0], found.rotations[-1])
     np.testing.assert_allclose(found.root_translation[0], found.root_translation[-1], atol=1e-4)
@@ -126,17 +96,8 @@ def test_after_another_clip_and_loops(folder):
 @needs_weights
 def test_a_file_of_prompts_goes_on_where_it_stopped(folder, capsys):
     (folder / "prompts.txt").write_text("walks\n\njumps; waves\nruns:1\n", encoding="utf-8")
-    words = [
-        "animate",
-        str(folder / "person.glb"),
-        "--prompts",
-        str(folder / "prompts.txt"),
-        "-o",
-        str(folder / "clips"),
-        "--seconds",
-        "1",
-        *QUICK,
-    ]
+    files = ["--prompts", str(folder / "prompts.txt"), "-o", str(folder / "clips")]
+    words = ["animate", str(folder / "person.glb"), *files, "--seconds", "1", *QUICK]
     assert main(words) == 0
     files = sorted((folder / "clips").glob("*.glb"))
     assert [path.name for path in files] == ["001-walks.glb", "002-jumps-waves.glb", "003-runs-1.glb"]

@@ -40,10 +40,7 @@ def test_there_and_back(animation, tmp_path):
 
 def test_matrices_are_read_too(animation, tmp_path):
     motion = animation.motion
-    parts = {
-        name: getattr(motion, name)
-        for name in ("translations", "rotations", "root_translation", "root_rotation", "fps")
-    }
+    parts = {name: getattr(motion, name) for name in (*motion.arrays, "fps")}
     np.savez(tmp_path / "m.npz", **parts)
     assert np.array_equal(read_motion(tmp_path / "m.npz").rotations, motion.rotations)
 
@@ -55,10 +52,7 @@ def test_broken_and_hostile_files(animation, tmp_path):
     for length in range(1, len(whole), len(whole) // 40):
         refused(whole[:length], "bad.npz: ")
     motion = animation.motion
-    parts = {
-        name: getattr(motion, name)
-        for name in ("translations", "rotations", "root_translation", "root_rotation", "fps")
-    }
+    parts = {name: getattr(motion, name) for name in (*motion.arrays, "fps")}
 
     def packed(**changes):
         out = io.BytesIO()

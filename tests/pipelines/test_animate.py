@@ -312,14 +312,7 @@ def test_the_command_line_takes_one_prompt_or_many(dressed, tmp_path, capsys):
     (tmp_path / "lines.txt").write_text("walks\njumps\n")
     shared = [
         str(tmp_path / "doll.pmx"),
-        "--apparel",
-        "simulate",
-        "--seconds",
-        "1",
-        "--steps",
-        "2",
-        "--candidates",
-        "1",
+        *["--apparel", "simulate", "--seconds", "1", "--steps", "2", "--candidates", "1"],
     ]
     assert main(["animate", *shared[:1], "waves", *shared[1:], "-o", str(tmp_path / "one.glb")]) == 0
     assert main(["animate", *shared, "--prompts", str(tmp_path / "lines.txt"), "-o", str(tmp_path / "all")]) == 0
