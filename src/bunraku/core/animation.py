@@ -63,9 +63,7 @@ class Animation(Shown):
     def vertices(
         self, frames: slice | list[int] | np.ndarray | None = None, *, chosen: np.ndarray | None = None
     ) -> np.ndarray:
-        """Posed vertices [m], shape (N, V, 3), float32, of all or some frames (Eq. 3), and of all or only the `chosen`
-        vertices.
-        """
+        """Posed vertices [m], shape (N, V, 3), float32, of some frames and the `chosen` vertices, or of all (Eq. 3)."""
         transforms = self.motion.transforms(self.handles.positions)
         rest, weights, beside = self.character.vertices, self.handles.weights, self.character.beside
         if chosen is not None:
@@ -350,9 +348,7 @@ def end_to_start(animations: Sequence[RigAnimation]) -> RigAnimation:
 
 
 def _aligned(animation: RigAnimation, goal: np.ndarray) -> RigAnimation:
-    """The animation moved over the ground so that the heads of its bones in the first frame come closest to a goal [m],
-    shape (J, 3).
-    """
+    """The animation moved so that its bones' heads in the first frame come closest to a goal [m], shape (J, 3)."""
     rotations, heads = animation.world()
     start, middle = heads[0].mean(axis=0), goal.mean(axis=0)
     before, after = (heads[0] - start)[:, [0, 2]], (goal - middle)[:, [0, 2]]

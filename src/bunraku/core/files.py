@@ -34,9 +34,7 @@ _open: ContextVar[tuple[ExitStack, dict[Path, BinaryIO]] | None] = ContextVar("o
 
 @contextmanager
 def open_once() -> Iterator[None]:
-    """Within the block each file is opened once and closed at the end, so that the bytes that name a format are those
-    that are read.
-    """
+    """Within the block each file is opened once, so that the bytes that name a format are those that are read."""
     with ExitStack() as stack:
         before = _open.set((stack, {}))
         try:
@@ -228,9 +226,7 @@ def remove_leftovers(folder: Path) -> int:
 
 
 def temporary_prefix(name: str) -> str:
-    """How the name of a temporary file of this process begins, by which `remove_leftovers` knows it; the name ends with
-    .tmp.
-    """
+    """How the name of a temporary file of this process begins, for `remove_leftovers`; the name ends with .tmp."""
     return f".{name[:100]}.{_machine()}-{os.getpid()}-"
 
 

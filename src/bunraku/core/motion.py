@@ -113,9 +113,7 @@ def lines_up(parents: Sequence[int]) -> list[list[int]]:
 
 
 def local_rotations(world: np.ndarray, parents: np.ndarray) -> np.ndarray:
-    """Rotations in the frames of the parents from those in the world, shape (N, J, 3, 3), by the parents of a
-    `Skeleton`, shape (J,).
-    """
+    """Rotations in the parents' frames from those in the world, (N, J, 3, 3), by a skeleton's parents (J,)."""
     out = world.copy()
     out[:, 1:] = np.swapaxes(world[:, parents[1:]], -1, -2) @ world[:, 1:]
     return out

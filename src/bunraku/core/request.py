@@ -281,9 +281,7 @@ class Constraint:
     kind: ClassVar[str] = ""
     """Its name in JSON and among the options."""
     alone: ClassVar[tuple[tuple[str, ...], str]] = ((), "")
-    """Kinds that it cannot be combined with, and the sentence that says why; "{}" in it stands for the names of
-    options.
-    """
+    """Kinds that it cannot be combined with, and why, in a sentence; "{}" in it stands for the names of options."""
     several: ClassVar[bool] = False
     """Whether a request may have more than one."""
 

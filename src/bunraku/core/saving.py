@@ -16,9 +16,7 @@ _provided: dict[str, str] = {}
 
 
 def provide(**functions: str) -> None:
-    """Register functions of rooms above, "module:function" by the name that rooms below use, so that nothing below
-    imports them.
-    """
+    """Register functions of rooms above, "module:function" by the name that rooms below use, which import none."""
     _provided.update(functions)
 
 

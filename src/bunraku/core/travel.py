@@ -144,9 +144,7 @@ def _yaw(first: np.ndarray, last: np.ndarray) -> float:
 
 
 def moved(motion: HandleMotion, angle: float, position: np.ndarray) -> HandleMotion:
-    """The motion rotated about +Y through the origin by an angle [rad] (+Z towards +X), then moved by a position [m],
-    shape (3,).
-    """
+    """The motion rotated about +Y by an angle [rad] (+Z towards +X), then moved by a position [m], shape (3,)."""
     turn = matrix_y(np.array([angle]))[0]
     path = motion.root_translation @ turn.T + position
     return replace(motion, root_translation=path, root_rotation=turn @ motion.root_rotation)
@@ -317,9 +315,7 @@ def put_back(
 def put_back_runs(
     made: HandleMotion, original: HandleMotion, handles: np.ndarray, runs: Sequence[tuple[int, int]], fade: int = FADE
 ) -> HandleMotion:
-    """`put_back` of several spans, each given by its first frame and the one after its last, in order; frames outside
-    of all are kept.
-    """
+    """`put_back` of several spans, each its first frame and the one after its last, in order; other frames are kept."""
     unbroken = original
     for first, after in runs:
         piece = put_back(made, original, handles, first, after, fade)

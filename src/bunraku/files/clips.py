@@ -28,9 +28,7 @@ from bunraku.files.motions.arrays import read_npz_motion, read_positions, read_r
 from bunraku.files.registry import load_character, load_with_clips
 
 SAME = 1e-3
-"""Handles this near are the same, as a share of the character's largest extent: the rounding of float32 in files stays
-far below it.
-"""
+"""Handles this near are the same, over the character's largest extent: float32's rounding stays far below it."""
 
 
 @dataclass(frozen=True)
@@ -95,9 +93,7 @@ def load_clip(path: str | Path) -> Clip:
 
 
 def load_clip_animation(path: str | Path) -> Animation:
-    """Read a GLB that Bunraku wrote, with character, handles and motion. Errors are those of `load_clip` and
-    `load_character`.
-    """
+    """Read a GLB of Bunraku: character, handles and motion. Errors are those of `load_clip` and `load_character`."""
     clip = load_clip(path)
     character = load_character(path)
     return Animation(character, clip_handles(clip.path, character), clip.motion, clip.reference)
@@ -174,8 +170,7 @@ def _animation(character: Character, world: np.ndarray, fps: float) -> Animation
 
 
 MOST_CLIPS, MOMENTS, POINTS = 8, 6, 1000
-"""Clips and moments of each in which is looked where a file's character stands, and points of its surface, lowest and
-any; chosen by eye."""
+"""Clips, moments, and lowest and other points of the surface that tell where a character stands; chosen by eye."""
 
 
 def clips_rise(character: Character) -> float:

@@ -356,9 +356,7 @@ def load_character(
 
 
 def load_with_clips(path: str | Path, fps: float) -> Character:
-    """Read a character with all clips of its file; those of FBX at a rate [1/s]. Errors are those of
-    `load_character`.
-    """
+    """Read a character with its file's clips; those of FBX at a rate [1/s]. Errors are those of `load_character`."""
     return _read_character(path, clip_fps=fps)
 
 

@@ -1,6 +1,4 @@
-"""Write USD: the mesh with its materials, and the handles or the bones of its own rig as a UsdSkel skeleton with
-motion.
-"""
+"""Write USD: the mesh with materials, and the handles or the bones of its own rig as a UsdSkel skeleton with motion."""
 
 from __future__ import annotations
 
@@ -128,9 +126,7 @@ class Look:
         return material
 
     def _texture(self, document: Document, info: Any, path: str, factor: list[float]) -> Any:
-        """A texture that is read by the coordinates `st`, or None where the image is missing or of a kind that USD
-        lacks.
-        """
+        """A texture read by the coordinates `st`, or None where the image is missing or of a kind that USD lacks."""
         if not isinstance(info, dict):
             return None
         texture = document.item("textures", info.get("index"))
@@ -213,9 +209,7 @@ def _coordinates(document: Document, primitive: dict[str, object], count: int) -
 def add_mesh(
     usd: dict[str, ModuleType], stage: Any, path: str, piece: Piece, character: Character, rest: np.ndarray, look: Look
 ) -> Any:
-    """Add a piece of a character as a mesh at a path and return it, with its rest positions in the file's frame, shape
-    (V, 3), float32.
-    """
+    """Add a piece of a character as a mesh at a path; it and its rest positions in the file's frame, (V, 3)."""
     array, types = usd["Vt"].Vec3fArray.FromNumpy, usd["Sdf"].ValueTypeNames
     mesh = usd["UsdGeom"].Mesh.Define(stage, path)
     mesh.CreateSubdivisionSchemeAttr("none")
@@ -452,9 +446,7 @@ def _channels(handles: Handles, motion: HandleMotion, frame: FileFrame) -> tuple
 
 
 def _influences(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """All weights that matter, largest first: joints (V, M) int32 and shares (V, M) float32, with as many columns as
-    needed.
-    """
+    """All weights that matter, largest first: joints (V, M) int32 and shares (V, M) float32, M as needed."""
     seen = np.where(weights > 1e-5, weights, 0)  # less moves nothing that is seen
     indices, shares = top_influences(seen, max(int((seen > 0).sum(axis=1).max()), 1))
     return np.ascontiguousarray(indices, np.int32), np.ascontiguousarray(shares, np.float32)

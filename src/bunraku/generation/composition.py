@@ -111,9 +111,7 @@ class PartTrack:
 
     @classmethod
     def of(cls, motion: int, script: Sequence[Clause], limbs: bool = True) -> PartTrack | None:
-        """The second time line of a motion; None without simultaneous actions. Without `limbs`, described limbs are
-        left out.
-        """
+        """A motion's second time line; None without simultaneous actions. Described limbs count with `limbs`."""
         voices = [clause.meanwhile for clause in script]
         voices = [
             voice if voice is not None and (limbs or not isinstance(voice.detail, Posing)) else None for voice in voices

@@ -1,6 +1,4 @@
-"""The denoiser of Shape-aware Motion Diffusion at inference (section 3.2 of TapMo), its checkpoint, and its changes for
-few steps.
-"""
+"""The denoiser (section 3.2 of TapMo) at inference, its checkpoint, and its changes for few steps."""
 
 from __future__ import annotations
 
@@ -78,9 +76,7 @@ PRESETS: dict[str, DenoiserConfig] = {
 }
 
 EXAMPLE_TOKENS = 2
-"""Motion tokens whose frames share one token of an example: examples need less detail, and attention to them costs
-half.
-"""
+"""Motion tokens whose frames share one token of an example: examples need less detail, and attention costs half."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -333,9 +329,7 @@ class Denoiser:
         return motion, said
 
     def _tokens(self, x: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-        """The input of each token, zero behind a motion's end, shape (B, T, d); and which tokens are real, shape (B,
-        T), None where all are.
-        """
+        """The input of each token, zero behind a motion's end (B, T, d), and which are real (B, T) or None for all."""
         batch, frames, features = x.shape
         patch = self.config.frames_per_token
         tokens = -(-frames // patch)

@@ -1,6 +1,4 @@
-"""From sentences to handle motions, and edits: chosen handles, or all but a span of frames, are kept (section A.3 of
-TapMo).
-"""
+"""From sentences to handle motions; and edits that keep chosen handles, or all but a span (section A.3 of TapMo)."""
 
 from __future__ import annotations
 
@@ -154,9 +152,7 @@ def _left_out(guidance: GuidanceExamples, clause: Clause) -> str:
 
 
 def adapt(motion: HandleMotion, adaptation: np.ndarray) -> HandleMotion:
-    """The motion with the adaptation [m], shape (N, K, 3), added to its local translations but the root's (section 3.2
-    of TapMo).
-    """
+    """The motion with the adaptation [m], shape (N, K, 3), added to local translations (section 3.2 of TapMo)."""
     if not adaptation.any():
         return motion
     translations = motion.translations + adaptation

@@ -318,9 +318,7 @@ class GuidanceExample:
     manners: tuple[Manner, ...] = ()  # how each is done
 
     def on(self, lengths: Sequence[int], frames: int, statistics: FeatureStatistics, closed: bool = False) -> Guide:
-        """The guide of a time line of so many frames, of which the sentences have these; `closed` for a loop, which has
-        one sentence.
-        """
+        """The guide of a time line of so many frames, of which the sentences have these; `closed` for a loop."""
         random = np.random.default_rng(self.seed)
         if closed and self.found[0] is not None:
             manner = replace(self.manners[0] if self.manners else AS_USUAL, closed=True)
@@ -341,9 +339,7 @@ LEFT = 0.35  # share of gestures that are done with the left hand where no side 
 SIDES = ("left", "right")
 PACES = {"slow": 0.72, "fast": 1.35}  # tempo of a gesture by its adverb; chosen by eye
 ODD = 4.9
-"""Distance of a pose from those of people who stand at which no motion begins; that of a kick at its height was
-measured as 4.8.
-"""
+"""Distance from standing people's poses at which no motion begins; that of a kick at its height was measured as 4.8."""
 
 
 class GuidanceExamples:

@@ -171,9 +171,7 @@ def _described(pack: ExamplePack, clause: Clause, posing: Posing) -> list[Found]
 def _retrieved(
     pack: ExamplePack, clause: Clause, vector: np.ndarray, let_go: frozenset[str], least: float = 0.0
 ) -> Retrieved:
-    """Examples that show what a clause says but for these cues; with a `least` cosine those captured that show a part
-    of it, too.
-    """
+    """Examples that show what a clause says but for these cues; with a `least` cosine also those that show a part."""
     partly = least > 0
     query = Said(frozenset(clause.actions) or _NOTHING, clause.cues, clause.traits)
     wanted = _shown(query) - let_go
@@ -255,9 +253,7 @@ def _apart(said: Said, mirrored: bool, query: Said, made: bool) -> float:
 
 
 def _lacks(pack: ExamplePack, index: int, mirrored: bool, clause: Clause) -> tuple[tuple[str, ...], str]:
-    """What a clause adds to its action that a gesture does not do, and the part of the body at which it is done instead
-    of its own.
-    """
+    """What a clause adds to its action that a gesture does not do, and the part of the body that replaces its own."""
     texts, said = pack.examples[index].texts, pack.said[index]
     words = [word for word in clause.added if not tells_all((word,), texts)]
     cues = said.mirrored_cues if mirrored else said.cues
@@ -344,9 +340,7 @@ class ExampleBank:
         return sentence_vectors(self.ranker, TextBatch(text.tokens, text.mask, text.pooled[:, :size])) / RADIUS
 
     def example(self, index: int, mirrored: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Features of an example in the network's units, shape (N, D), float16, and the vector of its sentence, shape
-        (P,).
-        """
+        """Features of an example in the network's units (N, D), float16, and the vector of its sentence (P,)."""
         key = (index, mirrored)
         if key not in self._known:
             features, text = self.pack.features(index)[: self.frames], self.pack.examples[index].texts[0]

@@ -165,9 +165,7 @@ class Window:
 
 @dataclass(frozen=True)
 class Sample:
-    """Motions of a sampler in network units, shape (..., N, D), and offsets on the local translations [m], shape (...,
-    N, K, 3).
-    """
+    """Motions in network units, shape (..., N, D), and offsets on local translations [m], shape (..., N, K, 3)."""
 
     values: np.ndarray
     adaptation: np.ndarray
@@ -355,9 +353,7 @@ class _Group:
         return np.asarray(self._laid @ values.reshape(-1, values.shape[-1]))
 
     def predict(self, model: Denoiser, x: np.ndarray, step: int, final: bool) -> tuple[np.ndarray, np.ndarray | None]:
-        """x0 (G, L, D) of each window, from x_t on the time line (F, D), and at the final step the adaptation (G, L, K,
-        3).
-        """
+        """x0 (G, L, D) of each window, from x_t on the time line (F, D); at the final step also the adaptation."""
         seen, patch = x[self.frames], model.config.frames_per_token
         x0, adaptation = self._run(model, seen, step, self.lengths, final)
         if final and patch > 1 and adaptation is not None:

@@ -1,6 +1,4 @@
-"""The measures of a motion (path, heading, heights, feet, hands), and whether it does what its clause says and nothing
-else.
-"""
+"""The measures of a motion (path, heading, heights, feet, hands), and whether it does only what its clause says."""
 
 from __future__ import annotations
 
@@ -179,9 +177,7 @@ def asks_to_turn(clause: Clause) -> bool:
 
 
 def onset(track: Track) -> float:
-    """Second at which a motion has begun: the mean speed of the body's points first reaches half of its highest, or
-    that of a slow walk.
-    """
+    """When a motion has begun [s]: the points' mean speed reaches half of its highest, or that of a slow walk."""
     speed = _speed(track)
     return float(np.argmax(speed >= min(speed.max() / 2, _LIVELY))) / track.fps
 
@@ -344,9 +340,7 @@ def _done(clause: Clause, track: Track) -> float | None:
 
 
 def _fills(clause: Clause, track: Track) -> float | None:
-    """The body does not rest for long at the end of what goes on; after what changes its posture, and on the ground, it
-    may.
-    """
+    """The body does not rest for long at the end of what goes on, but after a change of posture and on the ground."""
     if not clause.traits.isdisjoint(("halts", "gets up", "on a leg")) or any(
         action == "idle" or stays_down(action) for action in clause.actions
     ):

@@ -1,6 +1,4 @@
-"""All gestures (`gestures.toml`), positions of things for the hands (`things.toml`), and gestures moved to another part
-of the body.
-"""
+"""Gestures (`gestures.toml`), things for the hands (`things.toml`), and gestures moved to another part of the body."""
 
 from __future__ import annotations
 

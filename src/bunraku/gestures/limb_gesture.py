@@ -39,9 +39,7 @@ BENDS, BOWS = 2.2, 1.9
 NODS, TURNS, TILTS = 38.0, 58.0, 28.0
 """The same of the head."""
 MOST_LEAN, HANGS = 80.0, 24.0
-"""How far the trunk leans at the most to reach something, and the lean from which on other arms hang down from the
-shoulders [degrees].
-"""
+"""How far the trunk leans to reach something, and the lean from which on other arms hang down [degrees]."""
 BEHIND = 0.1
 """How far behind the pelvis a place is that the trunk does not bend for [m]."""
 _THROUGH = {"back": "floor", "belly": "both knees"}
@@ -273,9 +271,7 @@ def _bent_together(posing: Posing) -> Posing:
 
 
 def _replaced(targets: Sequence[Target], others: Sequence[Target]) -> list[Target]:
-    """Targets without those of limbs that others say go elsewhere, and these others; legs that stand apart may be bent
-    so.
-    """
+    """Targets without those of limbs that others move elsewhere, and these others; legs apart may be bent so."""
     kept = [
         aim for aim in targets
         if not any(

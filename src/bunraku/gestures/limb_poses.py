@@ -168,9 +168,7 @@ def _stretched(
 
 
 LEG, THIGH, SHANK = 0.89, 0.448, 0.454
-"""From hip to ankle of a leg that is nearly straight, from hip to knee, from knee to ankle, measured on the reference
-body [m].
-"""
+"""From hip to ankle of a nearly straight leg, hip to knee, knee to ankle, measured on the reference body [m]."""
 OVER, LIFTED = 0.1, 0.09
 """How far the pelvis goes over the foot that stands, and the height of an ankle over which it is in the air [m]. Chosen
 by eye on sheets of gestures.

@@ -103,9 +103,7 @@ captured people who make one; and how many times as far as in standing at the mo
 TURNS = (10.0, 24.0)
 """The same of how far it turns to and fro [degrees], and up to as many times as far."""
 DIPS, OUT = (0.015, 0.045), 0.7
-"""How far it goes down at the most with hands that go out, drawn from these [m], and how far these go out for all of
-that [m].
-"""
+"""How far it goes down at most with hands that go out, drawn from these [m], and how far they go out for all of it."""
 WITH_BUSY = 0.85
 """Share of gestures of the hands that are made by a person who was captured with busy hands, whose legs and trunk are
 livelier: beside them a shaken head is not seen.
@@ -159,9 +157,7 @@ def performed(
 
 
 def _level(standing: Standing) -> Standing:
-    """A person who looks straight ahead on average, up and down as before: in one who looks at the ground, nothing is
-    left of a look up.
-    """
+    """A person who looks straight ahead on average: in one who looks at the ground, nothing is left of a look up."""
     world = standing.rotations[:, 0]
     for joint in _SPINE:
         world = world @ standing.rotations[:, AT[joint]]

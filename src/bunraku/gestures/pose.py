@@ -191,9 +191,7 @@ def mirrored_pose(pose: Pose) -> Pose:
 STEP = 1 / 20
 """Seconds between two poses."""
 _BALL, _HEEL, _GROUND = (0.054, -0.155), (0.081, 0.05), 0.027
-"""From the ball of a foot of the reference body to its ankle, and from its heel, up and ahead, and the height of the
-ball, measured [m].
-"""
+"""From ball and heel of the reference body's foot to its ankle, up and ahead, and the ball's height, measured [m]."""
 
 
 def through(keys: Sequence[Key]) -> tuple[Key, ...]:

@@ -28,9 +28,7 @@ from bunraku.retarget.engine_skeleton import on_skeleton, t_pose
 MOST = 0.75
 """Share of the surface above which an apparel mask is doubted; chosen by eye."""
 ONE, STIFF = 0.99, 0.8
-"""A machine or a skeleton: more than 0.8 of its surface is held by one handle each with a weight above 0.99; chosen by
-eye.
-"""
+"""A machine or a skeleton: more than 0.8 of its surface has one handle with a weight above 0.99; chosen by eye."""
 
 
 def body_of_handles(character: Character, handles: Handles) -> tuple[np.ndarray, np.ndarray]:

@@ -103,9 +103,7 @@ class Live(Iterator[AnimatedCharacter]):
         self._change(self._request(sentence), self.direction)
 
     def go(self, direction: Sequence[float] | None) -> None:
-        """Face and travel towards a direction on the ground, x and z; None lets sentences decide. OptionError for other
-        values.
-        """
+        """Face and travel in a direction on the ground, x and z; None lets sentences decide. OptionError else."""
         given = None
         if direction is not None:
             try:

@@ -270,9 +270,7 @@ class Constraints(tuple[Constraint, ...]):
         return next((constraint for constraint in self if constraint.kind == kind), None)
 
     def check(self, dashes: str = "", clip: bool = False) -> None:
-        """Whether all go together; `clip` says that a clip is edited, and no motion made anew; OptionError where they
-        do not.
-        """
+        """Whether all go together, OptionError where they do not; `clip`: a clip is edited, and no motion made anew."""
         if len(self.pins) > MOST_PINS:
             raise OptionError(f"at most {MOST_PINS} pins are met, not {len(self.pins)}")
         for constraint in self:

@@ -37,9 +37,7 @@ from bunraku.retarget.to_rig import fit_rig
 
 _log = logging.getLogger(__name__)
 TRANSFER_STAGES = Stages(hands=True, shape=True)
-"""The stages that run by default: those of fitting, hands that touch the body stay near it, and the mesh keeps its
-shape.
-"""
+"""The stages by default: those of fitting, hands that touch the body stay near it, and the mesh keeps its shape."""
 
 
 @dataclass(frozen=True, eq=False)

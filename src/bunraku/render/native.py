@@ -33,9 +33,7 @@ class Native(NamedTuple):
 
 @cache
 def native() -> Native:
-    """The compiled loops of this installation, built by the first call; the environment variable BUNRAKU_KERNELS=numpy
-    disables them.
-    """
+    """The compiled loops, built by the first call; the environment variable BUNRAKU_KERNELS=numpy disables them."""
     if os.environ.get(VARIABLE, "").strip().lower() == "numpy":
         return Native(None, f"{VARIABLE} asks for numpy")
     text = SOURCE.read_bytes() + repr(FLAGS).encode()

@@ -1,6 +1,4 @@
-"""The loops of the renderer in numpy: readable versions of those in `kernels.c`, which draw where it is not
-compiled.
-"""
+"""The loops of the renderer in numpy: readable versions of `kernels.c`, which draw where that is not compiled."""
 
 from __future__ import annotations
 
@@ -29,9 +27,7 @@ def measure(vertices: np.ndarray, axes: np.ndarray, slopes: np.ndarray) -> tuple
 
 
 def accumulate_normals(vertices: np.ndarray, faces: np.ndarray, clusters: np.ndarray, count: int) -> np.ndarray:
-    """Unit normals (count, 3), float32, of the smooth clusters: area-weighted sums over the faces with corners
-    in them.
-    """
+    """Unit normals (count, 3) of the smooth clusters: area-weighted sums over the faces with corners in them."""
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     normals = np.repeat(np.cross(b - a, c - a), 3, axis=0)
     summed = np.stack([np.bincount(clusters.ravel(), normals[:, i], count) for i in range(3)], axis=1)
@@ -49,9 +45,7 @@ def project(points: np.ndarray, axes: np.ndarray, eye: np.ndarray, focal: float,
 
 
 def _pairs(first: np.ndarray, last: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Each face with each pixel of its box, lowest to highest column and row (F, 2), in chunks: index of the face,
-    column, row.
-    """
+    """Each face with each pixel of its box, lowest to highest column and row (F, 2), in chunks: face, column, row."""
     sides = np.maximum(last - first + 1, 0)
     counts = sides[:, 0] * sides[:, 1]
     ends = np.cumsum(counts)
@@ -254,9 +248,7 @@ def shade(
     base: np.ndarray,
     out: np.ndarray,
 ) -> None:
-    """Shade the samples of each pixel of a rectangle, once for each face that it sees, and average them into `out` (H,
-    W, 3), uint8.
-    """
+    """Shade the samples of a rectangle's pixels, once for each face, and average them into `out` (H, W, 3), uint8."""
     left, top, right, bottom = window
     if left >= right or top >= bottom:
         return

@@ -100,9 +100,7 @@ class SoftwareRenderer:
         self._seen = seen
 
     def _darkened(self, shadows: Shadows, camera: Camera) -> tuple[int, int, int, int]:
-        """The rectangle of the picture outside which no shadow lies on the floor: first column and row, and those after
-        the last.
-        """
+        """The rectangle outside which no shadow lies on the floor: first column and row, and those after the last."""
         height, width = self._ids.shape[:2]
         rows, columns = (np.flatnonzero((shadows.floor > 0).any(axis=axis)) for axis in (1, 0))
         if not len(rows):

@@ -1,6 +1,4 @@
-"""What a picture shows besides the character's motion: camera, faces and colours, lights, shadows, floor,
-background.
-"""
+"""What a picture shows besides the motion: camera, faces and colours, lights, shadows, floor, background."""
 
 from __future__ import annotations
 
@@ -127,9 +125,7 @@ class Framing:
         return lowest
 
     def offsets(self) -> np.ndarray:
-        """Displacement of the camera and the lit part of the floor in each frame [m], shape (N, 3); zeros for a short
-        path.
-        """
+        """Displacement of camera and lit floor in each frame [m], shape (N, 3); zeros for a short path."""
         centre = self.bounds.mean(axis=1).astype(np.float64)
         out = np.zeros_like(centre)
         path = centre[:, [0, 2]]
@@ -441,9 +437,7 @@ class Backdrop:
 
 
 def build_backdrop(size: tuple[int, int], camera: Camera, stage: Stage, offset: np.ndarray) -> Backdrop:
-    """The backdrop of pictures of `size` pixels; `offset` [m], shape (3,), is the displacement of the lit part of the
-    floor.
-    """
+    """The backdrop of pictures of `size` pixels; `offset` [m], shape (3,), is the displacement of the lit floor."""
     focal, axes = camera.focal(size[1]), camera.axes
     columns, rows = np.meshgrid(np.arange(size[0]), np.arange(size[1]))
     ray = rays(columns, rows, size, axes, focal)

@@ -82,9 +82,7 @@ def play_vmd(target: Character | MmdModel, vmd: VmdMotion, fps: float = VMD_FPS,
 
 
 def mmd_animation(character: Character, vmd: VmdMotion, fps: float = VMD_FPS) -> RigAnimation:
-    """A VMD on the character that was read from the model, as an animation of its own rig; arguments and errors are
-    those of `play_vmd`.
-    """
+    """A VMD on the model's character, as an animation of its own rig; arguments and errors as of `play_vmd`."""
     poses = play_vmd(character, vmd, fps)
     return RigAnimation.of_world(character, poses.rotations, poses.positions, fps)
 
@@ -271,9 +269,7 @@ def _wanted(model: MmdModel, found: SkeletonMap, motion: SkeletalMotion) -> tupl
 
 
 def _hips(model: MmdModel, found: SkeletonMap, motion: SkeletalMotion) -> np.ndarray:
-    """Where the middle of the model's hips shall be [m], shape (N, 3): as far above its ankles' height as the motion's,
-    by the legs' ratio.
-    """
+    """Where the model's hips shall be [m], (N, 3): as far above its ankles as the motion's, by the legs' ratio."""
     hips = motion.world()[1][:, [_J["left_hip"], _J["right_hip"]]].mean(axis=1).astype(float)
     rest = motion.skeleton.positions.astype(float)
     points, reference = model.positions, reference_body().joints
@@ -308,9 +304,7 @@ def mmd_clip(animation: RigAnimation) -> MmdClip:
 
 
 def _keys(model: MmdModel, rotations: np.ndarray, translations: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Keys of the bones that move, from how each stands on its parent: rotations (N, B, 3, 3) and translations (N, B,
-    3).
-    """
+    """Keys of bones that move, from how each stands on its parent: rotations (N, B, 3, 3), translations (N, B, 3)."""
     keyed_rotations, keyed_moves = rotations.copy(), translations.copy()
     still = _still(rotations, translations)
     keyed_rotations[:, still], keyed_moves[:, still] = np.eye(3), 0

@@ -1,6 +1,4 @@
-"""Poses of MMD models: bones in their order of deformation, inherited transforms, inverse kinematics, and how much work
-that is.
-"""
+"""Poses of MMD models: bones in order of deformation, inherited transforms, inverse kinematics, and their cost."""
 
 from __future__ import annotations
 
@@ -177,9 +175,7 @@ class _State:
             self.positions[chosen, bone] = self.positions[chosen, parent] + (above @ offset[..., None])[..., 0]
 
     def _take_over(self, bone: int) -> None:
-        """What a bone takes of another: of its keys and inverse kinematics, or, where that one takes over itself, of
-        what it takes.
-        """
+        """What a bone takes of another: of its keys and inverse kinematics, or of what that one takes itself."""
         append = self.model.bones[bone].append
         assert append is not None
         source = append.bone

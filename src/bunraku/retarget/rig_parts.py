@@ -360,9 +360,7 @@ def _avatar_parts(character: Character, followed: np.ndarray, mass: np.ndarray) 
 
 
 def _vrm_parts(character: Character) -> np.ndarray | None:
-    """Handle of each bone of a VRM avatar, whose file names its humanoid bones, shape (J,); -1 for others. None for
-    other characters.
-    """
+    """Handle of each bone of a VRM avatar, whose file names them (J,); -1 for others. None for other characters."""
     source = character.source
     model = vrm_model(character) if isinstance(source, Source) else None
     if model is None or not model.humanoid or character.rig is None:
@@ -386,9 +384,7 @@ def _vrm_parts(character: Character) -> np.ndarray | None:
 def _hand_below(
     wrist: int, lead: int, names: Sequence[str], parts: np.ndarray, parents: np.ndarray, mass: np.ndarray
 ) -> tuple[np.ndarray, int]:
-    """Parts and the first bone of a hand whose rig has a wrist bone over the hand's: clips turn the one that holds the
-    hand.
-    """
+    """Parts and first bone of a hand whose rig has a wrist bone above it: clips turn the one that holds the hand."""
     below = [
         bone
         for bone in np.flatnonzero(parents == lead)

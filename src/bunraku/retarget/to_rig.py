@@ -58,9 +58,7 @@ def on_bones(parts: RigParts, fitted: HandleMotion, reference: HandleMotion | No
 
 
 def _with_helpers(animation: RigAnimation, parts: RigParts) -> RigAnimation:
-    """The animation with the helper bones of an MMD model in their places; legs and arms stay as they are, without
-    inverse kinematics.
-    """
+    """The animation with an MMD model's helper bones in place; legs and arms stay, without inverse kinematics."""
     model, rig = mmd_model(parts.character), parts.character.rig
     if model is None or rig is None or len(model.bones) != len(rig.names):
         return animation

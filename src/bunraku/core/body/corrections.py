@@ -20,9 +20,7 @@ SUFFIX = ".body.toml"
 Kind = Literal[
     "body", "arm", "leg", "head", "tail", "wing", "hair", "prop", "ground", "skirt", "cape", "sleeve", "accessory"
 ]
-"""What a piece can be: hair goes with the head, a prop or an accessory with what it touches, the ground stands still,
-and clothes swing.
-"""
+"""What a piece can be: hair goes with the head, props and accessories with what they touch; clothes swing."""
 CLOTHES = ("skirt", "cape", "sleeve")
 """Kinds that change nothing of the body below them."""
 _Metres = Annotated[float, Limit("a coordinate", -1e6, 1e6)]  # by definition: farther out a float32 is too coarse

@@ -180,9 +180,7 @@ LIMB_CHILD: dict[int, int] = {
 
 @lru_cache(maxsize=1)
 def smpl_offsets() -> np.ndarray:
-    """Offset of each joint of SMPL's mean body from its parent's, to about a centimetre [m], shape (22, 3); zero for
-    the pelvis.
-    """
+    """Offset of each joint of SMPL's mean body from its parent's, to about a centimetre [m], (22, 3); pelvis 0."""
     out = np.zeros((JOINT_COUNT, 3))
     for name, offset in _LEFT_AND_MIDDLE.items():
         out[JOINT_NAMES.index(name)] = np.array(offset) / 100
@@ -213,8 +211,6 @@ LOOSE_ON_PEOPLE = LOOSE / 10
 
 
 def capped(residual: np.ndarray, soft: bool) -> np.ndarray:
-    """Local translations beyond stiff joints [m of the reference body], shape (..., 3), cut to what `soft` bodies or
-    people allow.
-    """
+    """Local translations beyond stiff joints [m], shape (..., 3), cut to what `soft` bodies or people allow."""
     length = np.linalg.norm(residual, axis=-1, keepdims=True)
     return np.asarray(residual * np.minimum(1, (LOOSE if soft else LOOSE_ON_PEOPLE) / np.maximum(length, 1e-9)))

@@ -13,9 +13,7 @@ _COLUMNS = 256  # at a time: few enough for the cache
 
 
 def _padded(values: np.ndarray, before: int, after: int, edge: str) -> np.ndarray:
-    """Values continued at both ends: by the last one ("nearest"), mirrored about the last one ("mirror"), or from the
-    other end ("wrap").
-    """
+    """Values continued at both ends by the last one ("nearest"), its mirror ("mirror") or the other end ("wrap")."""
     last = len(values) - 1
     index = np.arange(-before, last + 1 + after)
     if edge == "nearest":
@@ -51,9 +49,7 @@ def correlated(values: np.ndarray, kernel: np.ndarray, edge: str = "nearest") ->
 
 
 def gaussian(values: np.ndarray, deviation: float, edge: str = "nearest") -> np.ndarray:
-    """Values blurred in time, shape (N, ...), floating, by a Gaussian of this deviation [samples]; `edge` as in
-    `correlated`.
-    """
+    """Values blurred in time, shape (N, ...), by a Gaussian of this deviation [samples]; `edge` as in `correlated`."""
     reach = int(CUT * float(deviation) + 0.5)
     kernel = np.exp(-0.5 / (deviation * deviation) * np.arange(-reach, reach + 1) ** 2)
     return correlated(values, kernel / kernel.sum(), edge)
@@ -78,9 +74,7 @@ def running_most(values: np.ndarray, size: int) -> np.ndarray:
 
 
 def smooth_step(values: np.ndarray, low: float = 0.0, high: float = 1.0) -> np.ndarray:
-    """0 up to `low`, 1 from `high` on, and a rise between them that is level at both ends; either may be the larger.
-    Any shape.
-    """
+    """0 up to `low`, 1 from `high` on, and a rise that is level at both ends; either may be the larger. Any shape."""
     share = np.clip((values - low) / (high - low), 0, 1)
     return np.asarray(share * share * (3 - 2 * share))
 
@@ -113,9 +107,7 @@ class MonotoneCurve:
 
 
 def _slopes(gaps: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """The slope at each point, from the time to the next one, shape (N - 1, 1), and the mean slope to it, (N -
-    1, C).
-    """
+    """Slope at each point, from the time to the next one, shape (N - 1, 1), and the mean slope to it, (N - 1, C)."""
     if len(steps) == 1:
         return np.repeat(steps, 2, axis=0)
     before, after = steps[:-1], steps[1:]
@@ -177,9 +169,7 @@ def solve_banded(band: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 STRIDE = 0.5
-"""Heights are averaged over this time, in which a stride goes up and down: people take about
-two steps a second (Murray 1964) [s].
-"""
+"""Heights are averaged over this time [s], that of a stride: people take about two steps a second (Murray 1964)."""
 STANDS = 0.05
 """Share of the frames whose lowest point may be under the ground where a motion is set on it."""
 QUANTILE = 0.9

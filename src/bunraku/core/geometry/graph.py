@@ -120,9 +120,7 @@ def canonical_rank(points: np.ndarray) -> np.ndarray:
 
 
 def pack(columns: np.ndarray, count: int) -> np.ndarray:
-    """One key for each row of non-negative integers below `count`, in their lexicographic order, shape (R, C)
-    -> (R,).
-    """
+    """A key for each row of whole numbers below `count`, in their lexicographic order, shape (R, C) -> (R,)."""
     if count ** columns.shape[1] < 2**63:
         key = columns[:, 0].astype(np.int64)
         for column in range(1, columns.shape[1]):

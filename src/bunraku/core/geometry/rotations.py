@@ -143,9 +143,7 @@ def continuous(quaternions: np.ndarray) -> np.ndarray:
 
 
 def adjugates(matrices: np.ndarray) -> np.ndarray:
-    """Inverse times determinant of 3x3 matrices, shape (..., 3, 3); for many matrices much faster than
-    `numpy.linalg.inv`.
-    """
+    """Inverse times determinant of 3x3 matrices, shape (..., 3, 3); of many matrices much faster than `linalg.inv`."""
     rows = [(matrices[..., row, 0], matrices[..., row, 1], matrices[..., row, 2]) for row in range(3)]
     out = np.empty_like(matrices)
     for column in range(3):  # the cross product of the two other rows
@@ -203,9 +201,7 @@ class Resampling:
 
     @classmethod
     def of(cls, frames: int, have: float, want: float) -> Resampling:
-        """The frames within the duration of a clip of some frames, at least one, that `have` one rate and `want`
-        another [1/s].
-        """
+        """The frames in the duration of a clip of some frames, at least one, at the rates `have` and `want` [1/s]."""
         last = frames - 1
         at = np.minimum(np.arange(int(last / have * want + 1e-6) + 1) * (have / want), last)
         low = np.minimum(at.astype(np.int64), max(last - 1, 0))

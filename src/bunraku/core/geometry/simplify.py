@@ -287,9 +287,7 @@ class NetworkMesh:
         return out
 
     def pull(self, values: np.ndarray) -> np.ndarray:
-        """Means of original vertices' values over the surface of each network vertex, shape (V, C) -> (M, C),
-        float32.
-        """
+        """Mean values of original vertices over the surface of each network vertex, shape (V, C) -> (M, C), float32."""
         clean = self.clean
         kept = np.flatnonzero(clean.used)
         rows = clean.index[kept]

@@ -197,9 +197,7 @@ def load_network(
 
 @contextmanager
 def fitting_config(path: str | Path) -> Iterator[None]:
-    """Turn any failure while a network is built from a checkpoint into a WeightsError: its weights do not fit its
-    config.
-    """
+    """Turn any failure while a network is built into a WeightsError: its weights do not fit its config."""
     try:
         yield
     except WeightsError:

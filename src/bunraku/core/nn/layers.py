@@ -262,16 +262,12 @@ def softmax(scores: np.ndarray) -> np.ndarray:
 
 
 def hidden_by(mask: np.ndarray) -> np.ndarray | None:
-    """The term for scores of attention that hides all but what is True in a mask (B, M), shape (B, 1, 1, M); None where
-    all is True.
-    """
+    """What hides all but what is True in a mask (B, M) when added to scores, (B, 1, 1, M); None where all is True."""
     return None if mask.all() else np.where(mask, np.float32(0), _NEVER)[:, None, None]
 
 
 def split_heads(x: np.ndarray, heads: int, parts: int = 1) -> tuple[np.ndarray, ...]:
-    """Queries, keys or values of each head, shape (B, H, T, d/H), from `parts` of them side by side, shape (B, T, parts
-    d).
-    """
+    """Queries, keys or values of each head (B, H, T, d/H), from `parts` of them side by side (B, T, parts d)."""
     return tuple(x.reshape(*x.shape[:2], parts, heads, -1).transpose(2, 0, 3, 1, 4))
 
 
@@ -287,9 +283,7 @@ def apply_rotary(x: np.ndarray, rotary: Rotary) -> np.ndarray:
 
 
 def attended(query: np.ndarray, key: np.ndarray, value: np.ndarray, hidden: np.ndarray | None = None) -> np.ndarray:
-    """Attention (Vaswani et al. 2017) of queries (B, H, T, d) to keys and values (B, H, M, d) -> (B, T, H d), with a
-    mask of `hidden_by`.
-    """
+    """Attention (Vaswani et al. 2017) of queries (B, H, T, d) to keys and values (B, H, M, d), shape (B, T, H d)."""
     scores = np.matmul(query, key.swapaxes(-1, -2))
     scores *= np.float32(query.shape[-1] ** -0.5)
     if hidden is not None:
@@ -302,9 +296,7 @@ def attended(query: np.ndarray, key: np.ndarray, value: np.ndarray, hidden: np.n
 
 
 def rotary_positions(tokens: np.ndarray, size: int) -> Rotary:
-    """Cosines and sines of rotary positions (Su et al. 2021) of tokens at these times, shape (T,), each of shape (T,
-    size / 2).
-    """
+    """Cosines and sines of rotary positions (Su et al. 2021) of tokens at these times (T,), shape (T, size / 2)."""
     rates = np.float32(1000.0) ** (-np.arange(0, size, 2, dtype=np.float32) / np.float32(size))
     angle = tokens[:, None].astype(np.float32) * rates
     return np.cos(angle), np.sin(angle)

@@ -190,9 +190,7 @@ class _Builder:
             attributes[f"WEIGHTS_{part}"] = self.builder.array(np.ascontiguousarray(shares[:, columns]), ARRAY_BUFFER)
 
     def _bind(self, skin: FbxSkin, index: np.ndarray, shared: list[int]) -> int:
-        """Add the skin of a mesh with this placement; joints that nothing is bound to come after those of the
-        clusters.
-        """
+        """Add a mesh's skin with this placement; joints that nothing is bound to come after those of the clusters."""
         indices = [self.scene.indices[cluster.joint.id] for cluster in skin.clusters]
         extra = [joint for joint in shared if joint not in indices]
         scale = np.diag([*3 * [self.frame.metres], 1.0])
@@ -265,9 +263,7 @@ def _unscaled(linear: np.ndarray) -> np.ndarray:
 
 
 def _decompose(local: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Translation, rotation as a quaternion whose sign never jumps, and scale; shapes (N, 3), (N, 4), (N, 3), without
-    shear.
-    """
+    """Translation, rotation as a quaternion whose sign never jumps, and scale (N, 3), (N, 4), (N, 3), without shear."""
     linear = local[:, :3, :3]
     scale = np.linalg.norm(linear, axis=1)
     scale[:, 0] *= np.where(np.linalg.det(linear) < 0, -1, 1)

@@ -219,9 +219,7 @@ class _World:
 
 
 def euler_matrices(degrees: np.ndarray, order: str = "XYZ") -> np.ndarray:
-    """Rotations of Euler angles about fixed axes X, Y and Z [degrees], shape (..., 3) -> (..., 3, 3), applied in this
-    order.
-    """
+    """Rotations of Euler angles about fixed axes X, Y, Z in turn [degrees], shape (..., 3) -> (..., 3, 3)."""
     out = np.eye(3)
     for axis in order:
         k = "XYZ".index(axis)

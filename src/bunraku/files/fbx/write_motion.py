@@ -237,9 +237,7 @@ def _ticks(frames: np.ndarray | int, fps: float) -> np.ndarray:
 
 
 def _moving(objects: Objects, tracks: Mapping[str, Track], bones: Bones, joints: Sequence[int]) -> list[_Curves]:
-    """The properties of joints that move in any clip, with their values in each; in clips where they rest, set
-    to rest.
-    """
+    """Properties of joints that move in any clip, with their values in each; in clips where they rest, set to rest."""
     rest, frame = bones.rest(), objects.frame
     small = STILL_LENGTH * max(float(np.ptp(bones.positions, axis=0).max(initial=0)), 1e-9) * frame.scale
     roots = bones.parents < 0

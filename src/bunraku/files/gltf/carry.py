@@ -271,9 +271,7 @@ class _Bend:
 
 
 def _repaired(role: str, values: np.ndarray) -> np.ndarray:
-    """Values that a valid file may hold: finite, unit normals, colours from 0 to 1. Good values are returned as they
-    are.
-    """
+    """Values that a file may hold: finite, unit normals, colours from 0 to 1. Good values are returned as they are."""
     if values.dtype.kind != "f":
         return values
     if not np.isfinite(values).all():

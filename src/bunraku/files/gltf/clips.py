@@ -24,9 +24,7 @@ from bunraku.files.gltf.write import build_document, finish_document, joint_trac
 from bunraku.files.gltf.write_rig import RigDocument, bone_tracks, placed, with_still
 
 SAME_BONES = 1e-3
-"""Bones that rest this near are the same, as a share of the skeleton's extent: the rounding of float32 stays far below
-it.
-"""
+"""Bones that rest this near are the same, over the skeleton's extent: float32's rounding stays far below it."""
 
 
 def merge_documents(paths: Sequence[Path], path: Path, *, only: Collection[str] | None = None) -> Path:
@@ -145,9 +143,7 @@ def _check_rest(base: Document, other: Document, nodes: dict[int, int]) -> None:
 
 
 STILL = 1e-6
-"""A track that moves less than this, over the extent of all or as a quaternion, is one key. It is some roundings of
-float32.
-"""
+"""A track that moves less, over the extent of all or as a quaternion, is one key. It is some roundings of float32."""
 
 
 class Tracks:

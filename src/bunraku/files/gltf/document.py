@@ -77,9 +77,7 @@ class Document:
         return self._own + needed <= room(self._own)
 
     def check_memory(self, needed: int) -> None:
-        """Raise FormatError if this many bytes beside the file itself are too much for a file of this size or for the
-        machine.
-        """
+        """Raise FormatError if so many bytes beside the file are too much for a file of this size or the machine."""
         if not self.has_room(needed):
             self.fail(
                 f"reading it would take {(self._own + needed) / 1e6:,.0f} MB of memory, which is too much for its "

@@ -112,9 +112,7 @@ def _shared(attributes: dict[str, object], targets: object) -> tuple[str, ...]:
 
 
 def primitive_triangles(document: Document, primitive: dict[str, object], count: int) -> np.ndarray:
-    """Vertex indices of the triangles of a primitive: lists, strips and fans; none for points and lines, shape (F,
-    3).
-    """
+    """Vertex indices of a primitive's triangles: lists, strips and fans; none for points and lines, shape (F, 3)."""
     mode = document.integer(primitive, "mode", 4, high=6)
     if mode < 4:
         return np.zeros((0, 3), np.int32)

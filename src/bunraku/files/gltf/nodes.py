@@ -43,9 +43,7 @@ class NodeTree:
         return order
 
     def nearest(self, chosen: dict[int, int]) -> np.ndarray:
-        """The value that is chosen for the nearest of the chosen nodes at or above each node, -1 for none,
-        shape (M,).
-        """
+        """The value chosen for the nearest of the chosen nodes at or above each node, -1 for none, shape (M,)."""
         parents = self.parents.tolist()
         owners = [-1] * len(parents)
         for node in self.order:
@@ -246,9 +244,7 @@ def bind_pose(document: Document, tree: NodeTree, skins: SkinJoints) -> NodeTree
 
 
 def _used_skins(document: Document, tree: NodeTree, skins: SkinJoints) -> list[tuple[int, list[int]]]:
-    """Skins that the scene's meshes use, those higher in the tree and with more joints first, and the mesh nodes of
-    each.
-    """
+    """Skins of the scene's meshes, those higher in the tree and with more joints first, and the mesh nodes of each."""
     users: dict[int, list[int]] = {}
     for node in tree.scene:
         entry = document.item("nodes", node)
@@ -344,9 +340,7 @@ def _facing(placement: np.ndarray, placed: np.ndarray, target: np.ndarray, root:
 
 
 def _size_ratio(placed: np.ndarray, target: np.ndarray, pairs: list[tuple[int, int]]) -> float:
-    """How much longer the bones are than they should be, the median; for single joints how much larger their
-    axes are.
-    """
+    """How much longer bones are than they should be, the median; for single joints how much larger their axes are."""
     child, parent = np.array([i for i, _ in pairs], int), np.array([j for _, j in pairs], int)
     lengths = np.linalg.norm(placed[child, :3, 3] - placed[parent, :3, 3], axis=1)
     want = np.linalg.norm(target[child, :3, 3] - target[parent, :3, 3], axis=1)

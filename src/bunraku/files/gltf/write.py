@@ -308,9 +308,7 @@ def _add_influences(
 
 
 def keeps_positions(part: MeshPart, rest: np.ndarray, character: Character) -> bool:
-    """Whether the raw positions of a mesh can stay: one matrix takes them to the character's vertices, without
-    mirroring.
-    """
+    """Whether a mesh's raw positions can stay: one matrix takes them to the character's vertices, without mirroring."""
     if part.transform is None or part.mirrored or np.linalg.det(part.transform[:3, :3]) <= 0:
         return False
     vertices = np.concatenate([group.vertices for group in part.groups])

@@ -149,9 +149,7 @@ def with_still(animation: Animation) -> Animation | RigAnimation:
 def save_rig_animation(
     animation: RigAnimation, path: str | Path, *, fps: float | None = None, name: str | None = None
 ) -> Path:
-    """Write an animation of a rig as GLB, with a clip of the file's or another name; options and errors are those of
-    `save_rig_clips`.
-    """
+    """Write an animation of a rig as GLB, the clip named as the file or otherwise; options as of `save_rig_clips`."""
     path = Path(path)
     return save_rig_clips({str(name) if name else path.stem: animation}, path, fps=fps)
 
@@ -244,9 +242,7 @@ def _own_rig(source: Source) -> tuple[GltfBuilder, list[int]]:
 
 
 def _lift_skinned(builder: GltfBuilder) -> None:
-    """Put nodes with a skinned mesh on top of the scene, without a transform: by glTF's rule no transform above moves
-    them.
-    """
+    """Put nodes with a skinned mesh on top of the scene, without a transform: in glTF no transform above moves them."""
     nodes = builder.tree.get("nodes", [])
     lifted = {
         number for number, node in enumerate(nodes) if "mesh" in node and "skin" in node and not node.get("children")
@@ -272,9 +268,7 @@ def _lift_skinned(builder: GltfBuilder) -> None:
 
 
 def _above_all(source: Source, builder: GltfBuilder) -> np.ndarray:
-    """From the space of the file's scene to ours, shape (4, 4). A character that was turned upright gets a node above
-    all.
-    """
+    """From the space of the file's scene to ours, shape (4, 4). A character turned upright gets a node above all."""
     file = read_nodes(source.document)  # turned to the front where the file is a VRM 0.x
     roots = np.flatnonzero(source.tree.parents < 0)
     turn = source.tree.local[roots[0]] @ np.linalg.inv(file.local[roots[0]]) if len(roots) else np.eye(4)
@@ -375,9 +369,7 @@ def _influences(builder: GltfBuilder, joints: np.ndarray, weights: np.ndarray, s
 
 
 def plain_rig(character: Character) -> tuple[GltfBuilder, list[int]]:
-    """The meshes with one skin of the rig, whose bones rotate in the world's axes where they rest; and the nodes of the
-    bones.
-    """
+    """The meshes with one skin of the rig, whose bones rotate in the world's axes at rest; and the bones' nodes."""
     rig = character.rig
     assert rig is not None
     source = document_of(character)

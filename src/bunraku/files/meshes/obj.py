@@ -162,9 +162,7 @@ def _parse(data: bytes, found: dict[str, dict[str, str]]) -> None:
 
 
 def embeddable(image: Path | bytes) -> tuple[bytes, str] | None:
-    """Bytes of an image as glTF may embed it, PNG or JPEG, with their MIME type; other kinds are converted. None if it
-    cannot be read.
-    """
+    """An image as glTF may embed it, PNG or JPEG, and its MIME type; others are converted. None if unreadable."""
     try:
         data = image if isinstance(image, bytes) else read_bounded(image)
     except FormatError:

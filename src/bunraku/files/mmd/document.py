@@ -1,6 +1,4 @@
-"""A PMX or PMD model as a glTF document, for writers and previews: mesh, materials, textures, and the bones as
-a skin.
-"""
+"""A PMX or PMD model as a glTF document for writers and previews: mesh, materials, textures, the bones as a skin."""
 
 from __future__ import annotations
 
@@ -153,9 +151,7 @@ def _texture(
     builder: GltfBuilder,
     note: Callable[[str, str], None],
 ) -> tuple[int, bool] | None:
-    """Number of a texture and whether it is transparent anywhere; None where there is none inside the model's
-    folder.
-    """
+    """Number of a texture and whether it is transparent anywhere; None where none is inside the model's folder."""
     target = path_inside(path.parent, name)
     if target is None:
         note("textures are outside the model's folder and are left out", name)

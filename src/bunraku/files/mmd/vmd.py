@@ -85,9 +85,7 @@ class VmdMotion:
     def sample(
         self, fps: float = VMD_FPS, bones: Collection[str] | None = None
     ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Positions [m] (N, 3) and rotation matrices (N, 3, 3) of all or some bones, from frame 0 to the last key, at a
-        rate [1/s].
-        """
+        """Positions [m] (N, 3) and rotations (N, 3, 3) of bones, from frame 0 to the last key, at a rate [1/s]."""
         frames = np.arange(self.frame_count(fps)) * (VMD_FPS / fps)
         return {name: track.sample(frames) for name, track in self.bones.items() if bones is None or name in bones}
 

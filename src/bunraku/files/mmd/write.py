@@ -392,9 +392,7 @@ def _bones(character: Character) -> list[MmdBone]:
 
 
 def _layers(parents: np.ndarray) -> list[int]:
-    """The layer of each bone: MMD moves bones in the order of the file, so one whose parent comes later needs a higher
-    layer than that.
-    """
+    """The layer of each bone: MMD moves bones in the file's order, so a child before its parent needs a higher one."""
     out = [0] * len(parents)
     for bone in bone_order(parents):
         parent = int(parents[bone])

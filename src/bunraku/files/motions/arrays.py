@@ -142,9 +142,7 @@ def read_humanml3d(path: Path, data: bytes) -> SkeletalMotion:
 
 
 def positions_of_vectors(vectors: np.ndarray) -> np.ndarray:
-    """Joint positions [m], shape (N, 22, 3), of feature vectors (N, 263), not normalised, from a start at x = z = 0
-    that faces +Z.
-    """
+    """Joint positions [m], shape (N, 22, 3), of raw features (N, 263), from a start at x = z = 0 that faces +Z."""
     x = np.asarray(vectors, float)
     turned, steps = np.zeros(len(x)), np.zeros((len(x), 3))
     turned[1:] = np.cumsum(x[:-1, 0])

@@ -358,9 +358,7 @@ def _below(parents: np.ndarray, root: int) -> list[int]:
 
 
 def _unit(joints: list[BvhJoint]) -> float:
-    """The unit [m] that brings the size of the skeleton, with its end sites, closest to a person's, in any rest
-    pose.
-    """
+    """The unit [m] that brings the skeleton's size, with its end sites, closest to a person's, in any rest pose."""
     reach, size = [0.0] * len(joints), 0.0  # longest way down from each joint, longest way between any two
     for index in range(len(joints) - 1, -1, -1):
         parent = joints[index].parent
@@ -480,9 +478,7 @@ def _hierarchy(skeleton: Skeleton, offsets: np.ndarray, order: str) -> tuple[lis
 
 
 def _angles(rotations: np.ndarray, order: str, before: np.ndarray | None) -> np.ndarray:
-    """Angles of rotations (N, J, 3, 3) [degrees], shape (N, J, 3), without jumps by full circles from frame to
-    frame.
-    """
+    """Angles of rotations (N, J, 3, 3) [degrees], shape (N, J, 3), without jumps by full circles between frames."""
     from scipy.spatial.transform import Rotation
 
     with warnings.catch_warnings():

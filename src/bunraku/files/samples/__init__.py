@@ -42,9 +42,7 @@ def sample_file(name: str) -> Path:
 
 
 def sample_files() -> dict[str, str]:
-    """Names of all files that `bunraku samples` writes, by those of the samples: the characters, and what else the docs
-    use.
-    """
+    """Names of all files that `bunraku samples` writes, by those of the samples: characters, and what the docs use."""
     return {name.partition(".")[0]: name for name in (*(f"{name}.glb" for name in _NAMES), *_OTHERS)}
 
 

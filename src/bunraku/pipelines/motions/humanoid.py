@@ -136,9 +136,7 @@ def _shared(joint: int, lower: int, parents: np.ndarray, present: np.ndarray) ->
 
 
 def _pelvis(anatomy: Anatomy, present: np.ndarray) -> np.ndarray:
-    """The position of the pelvis joint in the rest pose [m], shape (3,): as the reference body's lies to its hips, or
-    to its root handle.
-    """
+    """The pelvis joint at rest [m], shape (3,): as the reference body's lies to its hips, or to its root handle."""
     body, joints = reference_body(), anatomy.joints.positions
     if present[1] and present[2]:
         size = np.linalg.norm(joints[1] - joints[2]) / np.linalg.norm(body.joints[1] - body.joints[2])
