@@ -29,7 +29,7 @@ from scipy.spatial.transform import Rotation
 
 from bunraku.core.motion import SkeletalMotion, Skeleton
 from bunraku.files import write_bvh
-from bunraku.pipelines.motions.read import load_motion
+from bunraku.pipelines.to_reference import load_motion
 
 
 def made_up(frames: int, joints: int, fps: float) -> SkeletalMotion:

@@ -28,8 +28,7 @@ from bunraku.anatomy.names.skeleton_map import map_skeleton
 from bunraku.core.body.layout import HANDLE_NAMES, JOINT_NAMES, JOINT_PARENTS
 from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton, resample_motion
 from bunraku.files import sample_bytes
-from bunraku.pipelines.motions.read import load_motion
-from bunraku.pipelines.to_reference import reference_motion
+from bunraku.pipelines.to_reference import load_motion, reference_motion
 
 LIMBS = [
     (f"{side}_{upper}", f"{side}_{lower}")

@@ -40,8 +40,8 @@ if TYPE_CHECKING:
     from bunraku.pipelines.animate import animate, edit, generate, rig, with_skeleton
     from bunraku.pipelines.animator import Animator
     from bunraku.pipelines.live import Live, live
-    from bunraku.pipelines.motions.read import load_motion
     from bunraku.pipelines.requests import Request
+    from bunraku.pipelines.to_reference import load_motion
     from bunraku.pipelines.transfer import transfer
     from bunraku.retarget.stages import Stages
 
@@ -76,7 +76,7 @@ _HOME = {
     "guess_orientation": "bunraku.anatomy.handles.orientation",
     "live": "bunraku.pipelines.live",
     "load_character": "bunraku.files",
-    "load_motion": "bunraku.pipelines.motions.read",
+    "load_motion": "bunraku.pipelines.to_reference",
     "rig": "bunraku.pipelines.animate",
     "sample_character": "bunraku.files",
     "save_character": "bunraku.files",
@@ -95,12 +95,12 @@ provide(
     save="bunraku.files:save",
     resolve_axes="bunraku.anatomy.handles.orientation:resolve_axes",
     handle_animation="bunraku.retarget.to_reference:handle_animation",
-    write_humanoid_bvh="bunraku.pipelines.motions.humanoid:write_humanoid_bvh",
-    write_humanoid_vrma="bunraku.pipelines.motions.humanoid:write_humanoid_vrma",
-    write_motion_bvh="bunraku.pipelines.motions.humanoid:write_humanoid_bvh",
-    write_motion_npz="bunraku.pipelines.motions.humanoid:write_motion_npz",
-    write_motion_vrma="bunraku.pipelines.motions.humanoid:write_humanoid_vrma",
-    write_character_vmd="bunraku.pipelines.motions.humanoid:write_character_vmd",
+    write_humanoid_bvh="bunraku.pipelines.humanoid:write_humanoid_bvh",
+    write_humanoid_vrma="bunraku.pipelines.humanoid:write_humanoid_vrma",
+    write_motion_bvh="bunraku.pipelines.humanoid:write_humanoid_bvh",
+    write_motion_npz="bunraku.pipelines.humanoid:write_motion_npz",
+    write_motion_vrma="bunraku.pipelines.humanoid:write_humanoid_vrma",
+    write_character_vmd="bunraku.pipelines.humanoid:write_character_vmd",
     write_html="bunraku.render.preview:write_html",
     save_preview="bunraku.render.preview:save_preview",
 )

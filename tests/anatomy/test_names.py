@@ -24,7 +24,7 @@ from bunraku.core.body.reference import reference_body
 from bunraku.core.geometry.axes import ORIENTATIONS, upright_rotation
 from bunraku.core.motion import SkeletalMotion, Skeleton
 from bunraku.errors import MotionError
-from bunraku.pipelines.motions.read import load_motion
+from bunraku.pipelines.to_reference import load_motion
 
 # ruff: noqa: E501 - rigs read best on one line
 

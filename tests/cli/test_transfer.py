@@ -31,7 +31,7 @@ from bunraku.files import load_character
 from bunraku.files.clips import load_clip
 from bunraku.files.mmd.vmd import load_vmd
 from bunraku.files.motions.bvh import write_bvh
-from bunraku.pipelines.motions.read import load_motion
+from bunraku.pipelines.to_reference import load_motion
 from bunraku.retarget.mmd_motion import mmd_animation, standard_model
 
 SETTINGS = Transfer(())

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bunraku import OptionError
-from bunraku.core.arguments import checked
+from bunraku.core.request import checked
 
 
 @checked

@@ -18,7 +18,7 @@ from bunraku.core.body.reference import reference_body, smpl_offsets
 from bunraku.core.character import Character
 from bunraku.errors import BunrakuError, FormatError, MotionError
 from bunraku.files.registry import read_motion
-from bunraku.pipelines.motions.read import load_motion
+from bunraku.pipelines.to_reference import load_motion
 
 
 @pytest.fixture

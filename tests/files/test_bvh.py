@@ -13,7 +13,7 @@ from bunraku.core.body.layout import JOINT_NAMES
 from bunraku.core.motion import SkeletalMotion, Skeleton
 from bunraku.errors import BunrakuError, FormatError, OptionError
 from bunraku.files.motions.bvh import read_bvh, write_bvh
-from bunraku.pipelines.motions.read import load_motion
+from bunraku.pipelines.to_reference import load_motion
 
 SMALL = """HIERARCHY
 ROOT hips

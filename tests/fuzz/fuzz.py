@@ -34,7 +34,7 @@ from motion_files import humanml3d_vectors, walk_about  # noqa: E402
 
 from bunraku.errors import BunrakuError  # noqa: E402
 from bunraku.files import load_character  # noqa: E402
-from bunraku.pipelines.motions.read import load_motion  # noqa: E402
+from bunraku.pipelines.to_reference import load_motion  # noqa: E402
 from bunraku.studio.projects import unpack_project  # noqa: E402
 from bunraku.studio.state import SAMPLE  # noqa: E402
 from bunraku.studio.store import Store  # noqa: E402

@@ -4,7 +4,7 @@ import fuzz
 import pytest
 
 from bunraku.files import load_character
-from bunraku.pipelines.motions.read import load_motion
+from bunraku.pipelines.to_reference import load_motion
 
 
 def test_no_broken_file_does_harm():

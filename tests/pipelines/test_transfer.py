@@ -26,9 +26,8 @@ from bunraku.files.motions.bvh import write_bvh
 from bunraku.language.parse import parse
 from bunraku.language.sentence import in_stretches
 from bunraku.pipelines.animator import Animator, own_rig
-from bunraku.pipelines.motions.read import load_mesh_motion, load_motion
 from bunraku.pipelines.requests import Constraints, Request, Sampling, clip_names, is_cycle, with_loops
-from bunraku.pipelines.to_reference import reference_motion
+from bunraku.pipelines.to_reference import load_mesh_motion, load_motion, reference_motion
 from bunraku.retarget.fit import Stages
 from bunraku.retarget.pins import Pin
 from bunraku_lab.synthetic.families import EVALUATION_SEED, code_made_character

@@ -11,12 +11,12 @@ import pytest
 from tubes import swinging
 
 from bunraku.render import frames as frames_module
-from bunraku.render import kernels, native, render_frames
-from bunraku.render.native import SOURCE, Native, compile_kernels
-from bunraku.render.renderer import draw_parallel
+from bunraku.render import kernels, render_frames
+from bunraku.render.frames import draw_parallel
+from bunraku.render.kernels import SOURCE, Native, compile_kernels
 from bunraku.render.stage import Camera
 
-COMPILED = native.native()
+COMPILED = kernels.native()
 
 
 def scene() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -56,24 +56,24 @@ def test_a_compiler_that_fails_leaves_no_file_and_numpy_draws(tmp_path, monkeypa
     broken.write_text("#!/bin/sh\nexit 1\n")
     broken.chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path / "bin"))
-    monkeypatch.setattr(native, "_folders", lambda: [tmp_path / "kept"])
-    found = native.native.__wrapped__()
+    monkeypatch.setattr(kernels, "_folders", lambda: [tmp_path / "kept"])
+    found = kernels.native.__wrapped__()
     assert found.library is None and "cc" in found.reason
     assert not list((tmp_path / "kept").iterdir())
     broken.unlink()
-    assert "no C compiler" in native.native.__wrapped__().reason
+    assert "no C compiler" in kernels.native.__wrapped__().reason
     monkeypatch.setenv("BUNRAKU_KERNELS", "numpy")
-    assert "BUNRAKU_KERNELS" in native.native.__wrapped__().reason
+    assert "BUNRAKU_KERNELS" in kernels.native.__wrapped__().reason
 
 
 @pytest.mark.skipif(shutil.which("cc") is None or os.name != "posix", reason="no C compiler cc")
 def test_a_library_that_others_may_write_is_not_loaded(tmp_path, monkeypatch):
-    monkeypatch.setattr(native, "_folders", lambda: [tmp_path])
-    found = native.native.__wrapped__()
+    monkeypatch.setattr(kernels, "_folders", lambda: [tmp_path])
+    found = kernels.native.__wrapped__()
     (path,) = tmp_path.iterdir()
     assert found.library is not None and found.reason == str(path)
     path.chmod(0o777)
-    assert native.native.__wrapped__().library is None
+    assert kernels.native.__wrapped__().library is None
     compile_kernels("cc", tmp_path / "again.so")
     assert (tmp_path / "again.so").stat().st_size > 5000 and SOURCE.is_file()
 

@@ -7,7 +7,7 @@ import pytest
 
 from bunraku.errors import OptionError
 from bunraku.render import Camera, render_frames
-from bunraku.render.renderer import SoftwareRenderer
+from bunraku.render.frames import SoftwareRenderer
 from bunraku.render.stage import Framing, build_surface, set_stage
 
 SIZE = (96, 64)

@@ -161,7 +161,7 @@ def test_a_vmd_with_switches_on_a_model_and_onto_smpl():
 
 def test_a_vmd_file_is_a_motion_for_any_character(tmp_path):
     from bunraku.files.mmd.vmd import MmdClip, write_vmd
-    from bunraku.pipelines.motions.read import load_motion
+    from bunraku.pipelines.to_reference import load_motion
 
     path = write_vmd(MmdClip(legs(31)), tmp_path / "feet.vmd")
     motion = load_motion(path, fps=20.0)

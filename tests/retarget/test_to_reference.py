@@ -13,8 +13,8 @@ from bunraku.core.body.reference import handle_positions, leg_length, reference_
 from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.surface import vertex_areas
 from bunraku.core.motion import HandleMotion, SkeletalMotion
-from bunraku.pipelines.motions.humanoid import humanoid_motion
-from bunraku.pipelines.motions.read import load_motion
+from bunraku.pipelines.humanoid import humanoid_motion
+from bunraku.pipelines.to_reference import load_motion
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.to_reference import handle_motion_of_body, motion_to_reference
 from bunraku_lab.synthetic.samples import make_sample

@@ -23,9 +23,8 @@ import bunraku
 from bunraku.core.animation import PointAnimation
 from bunraku.errors import BunrakuError
 from bunraku.pipelines.animator import Animator
-from bunraku.pipelines.motions.read import load_motion
 from bunraku.pipelines.requests import TransferRequest
-from bunraku.pipelines.to_reference import reference_motion
+from bunraku.pipelines.to_reference import load_motion, reference_motion
 from bunraku.pipelines.transfer import fitted_transfer
 from bunraku.retarget.rig_parts import is_humanoid_rig
 

@@ -125,7 +125,7 @@ def _processor() -> Iterator[Finding]:
 
 
 def _preview() -> Iterator[Finding]:
-    from bunraku.render.native import native
+    from bunraku.render.kernels import native
 
     loops = native()
     if loops.library is not None:

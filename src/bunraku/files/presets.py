@@ -13,11 +13,11 @@ from typing import Any, Literal
 import numpy as np
 
 from bunraku.core.animation import AnimatedCharacter, Animation, RigAnimation
-from bunraku.core.arguments import checked
 from bunraku.core.character import Handles
 from bunraku.core.files import check_output_folder, read_bounded
 from bunraku.core.geometry.curves import STRIDE, gaussian
 from bunraku.core.geometry.rotations import heading, matrix_y
+from bunraku.core.request import checked
 from bunraku.core.travel import in_place
 from bunraku.errors import FormatError, OptionError
 from bunraku.files.gltf.clips import merge_documents

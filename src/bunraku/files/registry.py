@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 
 from bunraku.core.animation import Animation, PointAnimation, RigAnimation
-from bunraku.core.arguments import checked
 from bunraku.core.avatars import MmdModel, VrmModel
 from bunraku.core.body.corrections import read_corrections
 from bunraku.core.character import Character, Handles
 from bunraku.core.files import MAX_BYTES, MAX_TEXT_BYTES, check_input, check_output_folder, open_input
 from bunraku.core.geometry.axes import BARE, UNITS, axis_name, default_orientation, likely_unit
 from bunraku.core.motion import HandleMotion, SkeletalMotion
+from bunraku.core.request import checked
 from bunraku.core.saving import provided
 from bunraku.errors import BunrakuError, CharacterError, FormatError, MotionError, OptionError, WeightsError
 from bunraku.files.gltf.read import rotated, scaled

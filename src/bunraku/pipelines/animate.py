@@ -13,12 +13,11 @@ import numpy as np
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.handles.orientation import as_said
 from bunraku.core.animation import AnimatedCharacter, Animation
-from bunraku.core.arguments import checked
 from bunraku.core.body.layout import kept_handles
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.core.nn.layers import one_thread
-from bunraku.core.request import Progress
+from bunraku.core.request import Progress, checked
 from bunraku.core.travel import GroundPath
 from bunraku.errors import MotionError, OptionError
 from bunraku.files import load_character

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from bunraku.core.animation import AnimatedCharacter, Animation, RigAnimation
-from bunraku.core.arguments import checked
 from bunraku.core.character import Character
 from bunraku.core.geometry.rotations import matrix_y
 from bunraku.core.motion import HandleMotion
+from bunraku.core.request import checked
 from bunraku.errors import OptionError
 from bunraku.language.prompts import check_prompt
 from bunraku.pipelines.aim import Aim, Point

@@ -17,18 +17,16 @@ from typing import Literal
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.apparel.chains.moving import check_apparel
 from bunraku.core.animation import AnimatedCharacter, Animation, RigAnimation
-from bunraku.core.arguments import checked
 from bunraku.core.character import Character, Handles
 from bunraku.core.motion import HandleMotion
 from bunraku.core.nn.layers import one_thread
-from bunraku.core.request import Progress
+from bunraku.core.request import Progress, checked
 from bunraku.errors import CharacterError
 from bunraku.files import bones_of
 from bunraku.pipelines.animate import opened
 from bunraku.pipelines.animator import Animator, left_out
-from bunraku.pipelines.motions.read import Motion, load_motion
 from bunraku.pipelines.requests import RATE, Apparel, TransferRequest
-from bunraku.pipelines.to_reference import creature_motion, reference_motion
+from bunraku.pipelines.to_reference import Motion, creature_motion, load_motion, reference_motion
 from bunraku.retarget.creatures import CreatureMotion, fit_creature, fit_creature_rig
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.rig_parts import RigParts

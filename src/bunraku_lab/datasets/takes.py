@@ -68,8 +68,7 @@ def take_motion(take: Take) -> HandleMotion:
     """
     from bunraku.anatomy.names.skeleton_map import map_skeleton
     from bunraku.anatomy.names.to_smpl import to_smpl
-    from bunraku.pipelines.motions.read import load_motion
-    from bunraku.pipelines.to_reference import reference_motion
+    from bunraku.pipelines.to_reference import load_motion, reference_motion
 
     motion = load_motion(take.file, fps=FPS, clip=take.clip)
     if isinstance(motion, SkeletalMotion):

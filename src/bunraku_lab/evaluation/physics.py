@@ -400,8 +400,7 @@ def joined(parts: Sequence[RigAnimation], blend: float = BLEND) -> tuple[RigAnim
 
 def _parts(body: UnifiedBody, motions: Sequence[str | Path], seconds: float) -> tuple[list[str], list[RigAnimation]]:
     """The motions on the character, each of its share of the time."""
-    from bunraku.pipelines.motions.read import load_motion
-    from bunraku.pipelines.to_reference import reference_motion
+    from bunraku.pipelines.to_reference import load_motion, reference_motion
     from bunraku.pipelines.transfer import played_by_mmd
 
     if not motions:

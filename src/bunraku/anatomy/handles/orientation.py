@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bunraku.anatomy.handles.orientation_evidence import Combination, ShapeView, gathered, has_rule, kind_weights
-from bunraku.core.arguments import checked
 from bunraku.core.character import Character
 from bunraku.core.geometry.axes import AXES, ORIENTATIONS, axis_name, upright_rotation
 from bunraku.core.geometry.surface import surface_points
+from bunraku.core.request import checked
 from bunraku.files import rotated
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import struct
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bunraku.core.arguments import checked
+from bunraku.core.request import checked
 from bunraku.errors import OptionError
 
 if TYPE_CHECKING:

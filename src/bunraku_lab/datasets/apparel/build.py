@@ -359,8 +359,7 @@ def _clip_animation(body: UnifiedBody, clip: ClipPlan) -> RigAnimation:
 
 @lru_cache(maxsize=8)
 def _reference(path: str) -> Any:
-    from bunraku.pipelines.motions.read import load_motion
-    from bunraku.pipelines.to_reference import reference_motion
+    from bunraku.pipelines.to_reference import load_motion, reference_motion
 
     return reference_motion(load_motion(path, fps=FPS), fps=FPS)
 

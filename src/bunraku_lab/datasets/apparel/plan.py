@@ -238,7 +238,7 @@ def _indexed(folder: Path, shortest: float) -> list[MotionSource]:
 def _length(path: Path) -> float:
     """Length of a motion [s], 0 where it cannot be read."""
     from bunraku.errors import BunrakuError
-    from bunraku.pipelines.motions.read import load_motion
+    from bunraku.pipelines.to_reference import load_motion
 
     try:
         motion: Any = load_motion(path)

@@ -254,8 +254,7 @@ def evaluate_transfer(
         FormatError: There is no character, or a motion of some kind is missing.
     """
     from bunraku import __version__
-    from bunraku.pipelines.motions.read import load_motion
-    from bunraku.pipelines.to_reference import reference_motion
+    from bunraku.pipelines.to_reference import load_motion, reference_motion
 
     names = _names(Path(characters).absolute() if jobs == "ray" else Path(characters), limit)
     files, picked = list(names), pick_motions(motions)
