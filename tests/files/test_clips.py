@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from gltf_files import CUBE, CUBE_FACES, Maker, made_up_handles, made_up_motion, textured_glb
+from gltf_files import CUBE, CUBE_FACES, Maker, made_up_handles, made_up_motion
 from hostile import damaged, outcomes
 from motion_files import walk_about
 from scipy.spatial.transform import Rotation
@@ -20,7 +20,7 @@ from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.core.motion import SkeletalMotion
 from bunraku.errors import FormatError, MotionError, OptionError
-from bunraku.files import load_character, save_character
+from bunraku.files import save_character
 from bunraku.files.clips import load_animation, load_clip, load_clip_animation, merge
 from bunraku.files.gltf.open import open_document
 from bunraku.files.gltf.vrma import VRM_BONES
@@ -126,13 +126,6 @@ def names_of(path):
     return [clip.get("name") for clip in open_document(path, path.read_bytes()).tree["animations"]]
 
 
-@pytest.fixture
-def textured(tmp_path):
-    path = tmp_path / "textured.glb"
-    path.write_bytes(textured_glb())
-    return load_character(path)
-
-
 def swinging(character, frames=5, seed=0):
     random = np.random.default_rng(seed)
     bones = len(character.rig.names)
@@ -145,8 +138,8 @@ def handled(character, seed):
     return Animation(character, handles, made_up_motion(character, frames=6, seed=seed))
 
 
-def test_merged_clips_play_as_they_did(textured, tmp_path):
-    first, second = swinging(textured), swinging(textured, seed=1)
+def test_merged_clips_play_as_they_did(thing, tmp_path):
+    first, second = swinging(thing), swinging(thing, seed=1)
     save_clips({"swing": first}, tmp_path / "a.glb")
     save_clips({"swing": second}, tmp_path / "b.glb")
     path = merge([tmp_path / "a.glb", tmp_path / "b.glb"], tmp_path / "c.glb")
@@ -154,12 +147,12 @@ def test_merged_clips_play_as_they_did(textured, tmp_path):
     assert names[0] == "swing" and "swing-2" in names
     for number, clip in ((0, first), (names.index("swing-2"), second)):
         played = load_animation(path, number, 20.0)
-        assert np.abs(played.vertices() - clip.vertices()).max() < 1e-5 * textured.height
+        assert np.abs(played.vertices() - clip.vertices()).max() < 1e-5 * thing.height
 
 
-def test_the_first_file_stays_as_it_is(textured, tmp_path):
+def test_the_first_file_stays_as_it_is(thing, tmp_path):
     for name, seed in (("a", 0), ("b", 1)):
-        save_clips({name: swinging(textured, seed=seed)}, tmp_path / f"{name}.glb")
+        save_clips({name: swinging(thing, seed=seed)}, tmp_path / f"{name}.glb")
     path = merge([tmp_path / "a.glb", tmp_path / "b.glb"], tmp_path / "c.glb")
     old, new = (open_document(some, some.read_bytes()) for some in (tmp_path / "a.glb", path))
     for key in ("nodes", "skins", "meshes", "materials", "textures", "scenes"):
@@ -168,18 +161,18 @@ def test_the_first_file_stays_as_it_is(textured, tmp_path):
         assert bytes(new.view(number)) == bytes(old.view(number))
 
 
-def test_clips_of_another_character_are_refused(textured, tmp_path):
-    save_clips({"a": swinging(textured)}, tmp_path / "a.glb")
-    names = tuple(f"x{name}" for name in textured.rig.names)
-    renamed = replace(textured, rig=replace(textured.rig, names=names), source=None)
+def test_clips_of_another_character_are_refused(thing, tmp_path):
+    save_clips({"a": swinging(thing)}, tmp_path / "a.glb")
+    names = tuple(f"x{name}" for name in thing.rig.names)
+    renamed = replace(thing, rig=replace(thing.rig, names=names), source=None)
     save_clips({"b": swinging(renamed)}, tmp_path / "b.glb")
     with pytest.raises(FormatError, match="another character"):
         merge([tmp_path / "a.glb", tmp_path / "b.glb"], tmp_path / "c.glb")
     assert not (tmp_path / "c.glb").exists()
 
 
-def test_bones_that_rest_elsewhere_are_another_character(textured, tmp_path):
-    own = replace(textured, source=None, avatar=None)
+def test_bones_that_rest_elsewhere_are_another_character(thing, tmp_path):
+    own = replace(thing, source=None, avatar=None)
     save_clips({"a": swinging(own)}, tmp_path / "a.glb")
     moved = np.array(own.rig.transforms)
     moved[-1, :3, 3] += 0.2 * own.height
@@ -188,30 +181,30 @@ def test_bones_that_rest_elsewhere_are_another_character(textured, tmp_path):
         merge([tmp_path / "a.glb", tmp_path / "b.glb"], tmp_path / "c.glb")
 
 
-def test_clips_are_added_to_those_of_a_file(textured, tmp_path):
+def test_clips_are_added_to_those_of_a_file(thing, tmp_path):
     path = tmp_path / "a.glb"
-    clips = {name: handled(textured, seed) for name, seed in (("walk", 0), ("run", 1))}
+    clips = {name: handled(thing, seed) for name, seed in (("walk", 0), ("run", 1))}
     save_clips({"walk": clips["walk"]}, path)
     save_clips({"run": clips["run"]}, path, add=True)
     save_clips({"run": clips["run"]}, path, add=True)
     assert names_of(path) == ["walk", "run", "run-2"]
     for number, name in enumerate(("walk", "run", "run")):
         played = load_animation(path, number, clips[name].fps)
-        assert np.abs(played.vertices() - clips[name].vertices()).max() < 1e-4 * textured.height
+        assert np.abs(played.vertices() - clips[name].vertices()).max() < 1e-4 * thing.height
     assert not list(tmp_path.glob(".*.tmp"))
 
 
-def test_one_clip_of_all_end_to_start(textured, tmp_path):
+def test_one_clip_of_all_end_to_start(thing, tmp_path):
     for name, seed in (("a", 0), ("b", 1)):
-        save_clips({name: swinging(textured, 21, seed)}, tmp_path / f"{name}.glb")
+        save_clips({name: swinging(thing, 21, seed)}, tmp_path / f"{name}.glb")
     whole = merge([tmp_path / "a.glb", tmp_path / "b.glb"], tmp_path / "c.glb", end_to_start=True, fps=20.0)
     lengths = [len(load_animation(whole, number, 20.0).motion) for number in range(2)]
     parts = [len(load_animation(tmp_path / f"{name}.glb", n, 20.0).motion) for name in "ab" for n in range(2)]
     assert names_of(whole)[0] == "c" and lengths[0] == sum(parts) - len(parts) + 1
 
 
-def test_what_is_no_set_of_clips_is_refused(textured, tmp_path):
-    one = swinging(textured)
+def test_what_is_no_set_of_clips_is_refused(thing, tmp_path):
+    one = swinging(thing)
     with pytest.raises(OptionError, match="no clip"):
         save_clips({}, tmp_path / "a.glb")
     with pytest.raises(OptionError, match="has no name"):
@@ -219,7 +212,7 @@ def test_what_is_no_set_of_clips_is_refused(textured, tmp_path):
     with pytest.raises(FormatError, match=r"\.glb"):
         save_clips({"a": one}, tmp_path / "a.bvh")
     with pytest.raises(OptionError, match="one character"):
-        save_clips({"a": one, "b": swinging(replace(textured, name="other"))}, tmp_path / "a.glb")
+        save_clips({"a": one, "b": swinging(replace(thing, name="other"))}, tmp_path / "a.glb")
     assert bunraku.save_clips is save_clips
 
 

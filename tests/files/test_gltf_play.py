@@ -145,13 +145,6 @@ def test_what_cannot_be_played(tmp_path):
             play(tmp_path, "LINEAR", "translation", times, values)
 
 
-@pytest.fixture
-def thing(tmp_path):
-    path = tmp_path / "thing.glb"
-    path.write_bytes(textured_glb())
-    return load_character(path)
-
-
 @pytest.mark.parametrize(("up", "front"), ORIENTATIONS[::3])
 def test_vertices_and_rig_turn_exactly(thing, up, front):
     rotation = upright_rotation(up, front)

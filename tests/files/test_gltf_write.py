@@ -32,13 +32,6 @@ def animate(character, count=30, **options):
 
 
 @pytest.fixture
-def thing(tmp_path):
-    path = tmp_path / "thing.glb"
-    path.write_bytes(textured_glb())
-    return load_character(path)
-
-
-@pytest.fixture
 def ball():
     """A character of arrays alone: a sphere of 1,200 vertices."""
     u, v = np.meshgrid(np.linspace(0, 2 * np.pi, 40), np.linspace(0, np.pi, 30))

@@ -147,15 +147,21 @@ def test_bones_of_the_same_skeleton_are_copied():
     assert copied_bones(moved.character, *moved.world(), 20.0, replace(other, rig=renamed)) is None
 
 
+PARTS = {
+    "pelvis": "hips", "hip": "upperleg", "knee": "lowerleg", "ankle": "foot", "foot": "toes", "shoulder": "upperarm",
+    "elbow": "lowerarm", "collar": "clavicle",
+}  # fmt: skip
+
+
+def bones_of(parts):
+    """Names of bones for the 22 joints, with ".l" and ".r"."""
+    split = [name.rpartition("_") for name in JOINT_NAMES]
+    return [f"{parts.get(part, part)}{'.' + side[0] if side else ''}" for side, _, part in split]
+
+
 def test_a_wrist_bone_over_the_hand_leaves_the_turn_to_the_hand():
     plain = rested(1.0, 0.5)
-    parts = {"pelvis": "hips", "spine1": "spine", "spine2": "chest", "hip": "upperleg", "knee": "lowerleg",
-    "ankle": "foot", "foot": "toes",
-             "shoulder": "upperarm", "elbow": "lowerarm", "collar": "clavicle"}  # fmt: skip
-    names = []
-    for name in JOINT_NAMES:
-        side, _, part = name.rpartition("_")
-        names.append(f"{parts.get(part, part)}{'.' + side[0] if side else ''}")
+    names = bones_of(PARTS | {"spine1": "spine", "spine2": "chest"})
     wrists = [names.index("wrist.l"), names.index("wrist.r")]
     rig, weights = plain.rig, plain.rig.dense_weights()
     hands = 0.8 * weights[:, wrists]
@@ -182,12 +188,7 @@ def test_a_wrist_bone_over_the_hand_leaves_the_turn_to_the_hand():
 
 def test_half_of_a_pelvis_over_a_thigh_leaves_the_hip_to_the_thigh():
     plain = rested()
-    parts = {"pelvis": "hips", "hip": "upperleg", "knee": "lowerleg", "ankle": "foot", "foot": "toes",
-             "shoulder": "upperarm", "elbow": "lowerarm", "collar": "clavicle"}  # fmt: skip
-    names = []
-    for name in JOINT_NAMES:
-        side, _, part = name.rpartition("_")
-        names.append(f"{parts.get(part, part)}{'.' + side[0] if side else ''}")
+    names = bones_of(PARTS)
     rig, hips = plain.rig, [_J["left_hip"], _J["right_hip"]]
     parents = np.append(rig.parents, [0, 0])
     parents[hips] = [22, 23]
