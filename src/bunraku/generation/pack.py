@@ -148,7 +148,7 @@ class ExamplePack:
         """The actions of gestures by their names, so that their sentences need not be read; "" where a name says none,
         and for captured examples.
         """
-        return tuple([example.gesture for example in self.examples])
+        return tuple([example.gesture if example.name.startswith(MADE) else "" for example in self.examples])
 
     @functools.cached_property
     def handled(self) -> tuple[int, ...]:
