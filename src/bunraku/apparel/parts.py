@@ -379,7 +379,7 @@ def handles_of_body(character: Character, predict: Callable[[Character], Handles
         return handles
     weights = np.array(stiff_weights(character, parts, handles.weights, left))
     if base.any():  # a figure for print, or a statue, glides with its base: no leg that stands on it bends
-        legs = _HANDLES[-2:].any(axis=0)[handles.played]
+        legs = np.asarray(_HANDLES[-2:].any(axis=0))[handles.played]
         weights[:, 0] += weights[:, legs].sum(axis=1)
         weights[:, legs] = 0
         weights[base] = np.eye(1, weights.shape[1])

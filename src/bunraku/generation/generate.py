@@ -236,7 +236,7 @@ def edit_motion(
     low, high = max(first - AROUND, 0), min(after + AROUND, len(motion))
     part = motion.take(slice(low, high))
     generated = _generate(
-        part, [(start - low, stop - low) for start, stop in runs], handles, [clause.text], [high - low], seed, how,
+        part, [(start - low, stop - low) for start, stop in runs], handles, [(clause.text, high - low)], seed, how,
         model,
     )  # fmt: skip
     kept = np.setdiff1d(np.arange(low, high), np.concatenate([np.arange(*run) for run in runs]))
@@ -275,8 +275,8 @@ def continue_motion(
     still = history.take(frames)
     lengths[0] += past - 1
     generated = _generate(
-        still, [(past, len(frames))], np.zeros(HANDLE_COUNT, bool), [clause.text for clause in script], lengths, seed,
-        how, model, guide,
+        still, [(past, len(frames))], np.zeros(HANDLE_COUNT, bool),
+        list(zip([clause.text for clause in script], lengths, strict=True)), seed, how, model, guide,
     )  # fmt: skip
     generated = placed_at(generated, past - 1, history, past - 1).take(slice(past - 1, len(generated)))
     still = still.take(slice(past - 1, len(still)))
@@ -338,7 +338,7 @@ def _check(motion: HandleMotion, model: Denoiser) -> None:
 
 
 def _generate(
-    original: HandleMotion, runs: Sequence[tuple[int, int]], handles: np.ndarray, texts: list[str], lengths: list[int],
+    original: HandleMotion, runs: Sequence[tuple[int, int]], handles: np.ndarray, script: Sequence[tuple[str, int]],
     seed: int, how: SamplingSettings, model: Denoiser, guide: Guide | None = None,
 ) -> HandleMotion:  # fmt: skip
     """All frames of the original with runs of frames generated anew, but for the kept handles; the root's path from x =
@@ -349,8 +349,8 @@ def _generate(
 
     if how.progress:
         how.progress("generate", 0.0)
-    text = how.networks.encoder.encode(texts)
-    plan = plan_windows(lengths, model.config.frames)
+    text = how.networks.encoder.encode([sentence for sentence, _ in script])
+    plan = plan_windows([length for _, length in script], model.config.frames)
     frames = len(original)
     statistics = FeatureStatistics(model.mean, model.std)
     features = encode(original)
@@ -382,7 +382,7 @@ def _generate(
     led = None
     if guide is not None:
         start = frames - len(guide.values)
-        led = tuple(np.zeros((plan.frames, width), np.float32) for width in (FEATURE_SIZE, 1, 1))
+        led = np.zeros((plan.frames, FEATURE_SIZE), np.float32), *np.zeros((2, plan.frames, 1), np.float32)
         until = np.where(guide.made, MADE_UNTIL, LED_UNTIL)
         for array, of_guide in zip(led, (guide.values, guide.share[:, None], until[:, None]), strict=True):
             array[start:frames] = of_guide

@@ -208,8 +208,8 @@ def _retrieved(
                 lacking.update(dict.fromkeys(lacks))
                 continue
             total = float(score[index]) - EXTRA * _apart(said, mirrored, query, made)
-            exact = same or (bool(clause.actions) and said.actions == query.actions and not said.besides)
-            found.append(Found(index, mirrored, total, part, times, close=exact and not made))
+            close = not made and (same or (bool(clause.actions) and said.actions == query.actions and not said.besides))
+            found.append(Found(index, mirrored, total, part, times, close=close))
     found.sort(key=lambda example: -example.score)
     best_made = bool(found) and bool(pack.made[found[0].number])
     best_made = best_made and query.actions != {"stand up"}  # that depends on how the person sits, kneels or lies

@@ -204,14 +204,14 @@ class Feet(Stage):
         free[1:] -= 0.5 * trust
         band[2] = self.pull * free + 1e-4
         band[2, :held] += FIXED
-        held = self.hold * trust
-        band[2, :-1] += held
-        band[2, 1:] += held
-        band[1, 1:] -= held
+        holds = self.hold * trust
+        band[2, :-1] += holds
+        band[2, 1:] += holds
+        band[1, 1:] -= holds
         add_bending(band)
         right = np.zeros((count, 2))
-        right[:-1] += held[:, None] * steps
-        right[1:] -= held[:, None] * steps
+        right[:-1] += holds[:, None] * steps
+        right[1:] -= holds[:, None] * steps
         return solve_banded(band, right)
 
     def continued(self, motion: HandleMotion, before: HandleMotion, anatomy: Anatomy) -> HandleMotion:
