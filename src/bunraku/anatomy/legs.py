@@ -16,7 +16,7 @@ from bunraku.core.animation import bone_order
 from bunraku.core.body.layout import CHEST, HANDLE_COUNT, HANDLE_NAMES
 from bunraku.core.body.reference import handle_positions, reference_body
 from bunraku.core.character import Character, Handles
-from bunraku.core.geometry.rotations import matrix_from_axis_angle
+from bunraku.core.geometry.rotations import rotation_between
 from bunraku.core.geometry.surface import extreme_points, part_extremes
 from bunraku.core.skinning import skin
 from bunraku.errors import CharacterError
@@ -260,7 +260,7 @@ def _move_foot(
     )
     goal = ankle + shift
     if leg.lower == leg.upper:
-        carry(world, leg.upper, joints, hip, hip, _between(_unit(ankle - hip), _unit(goal - hip)))
+        carry(world, leg.upper, joints, hip, hip, rotation_between(_unit(ankle - hip), _unit(goal - hip)))
         return
     thigh, shin = np.linalg.norm(knee - hip, axis=1), np.linalg.norm(ankle - knee, axis=1)
     before, wanted = np.linalg.norm(ankle - hip, axis=1), np.linalg.norm(goal - hip, axis=1)
@@ -269,7 +269,7 @@ def _move_foot(
     reach = np.clip(reach, np.abs(thigh - shin) + 1e-3 * length, np.maximum(before, STRAIGHT * length))
     line, toward = _unit(ankle - hip), _unit(goal - hip)
     goal = hip + toward * reach[:, None]
-    swing = _between(line, toward)
+    swing = rotation_between(line, toward)
     aside = knee - hip - ((knee - hip) * line).sum(axis=1, keepdims=True) * line
     along = (thigh**2 - shin**2 + reach**2) / (2 * reach)
     out = np.sqrt(np.maximum(thigh**2 - along**2, 0))[:, None]
@@ -284,7 +284,7 @@ def _move_foot(
         (leg.lower, knee, bent, ankle - knee, goal - bent),
     ):
         swung = np.einsum("nij,nj->ni", swing, _unit(before_turn))
-        carry(world, handle, joints, pivot, target, _between(swung, _unit(after_turn)) @ swing)
+        carry(world, handle, joints, pivot, target, rotation_between(swung, _unit(after_turn)) @ swing)
     for handle in leg.foot:
         carry(world, handle, joints, ankle, goal, slope)
 
@@ -325,13 +325,6 @@ def _bend(aside: np.ndarray, line: np.ndarray, root: np.ndarray) -> np.ndarray:
     helps = np.einsum("nij,j->ni", root, usual)
     helps -= (helps * line).sum(axis=1, keepdims=True) * line
     return _unit(aside + 0.3 * size.mean() * np.exp(-((size / max(0.5 * size.mean(), 1e-9)) ** 2))[:, None] * helps)
-
-
-def _between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    axis = np.cross(start, end)
-    sine = np.linalg.norm(axis, axis=1)
-    angle = np.arctan2(sine, (start * end).sum(axis=1))
-    return np.asarray(matrix_from_axis_angle(axis / np.maximum(sine, 1e-12)[:, None] * angle[:, None]))
 
 
 CHUNK = 500  # frames posed at once to find the lowest point: bounds memory

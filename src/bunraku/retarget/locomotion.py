@@ -14,10 +14,8 @@ from bunraku.core.geometry.rotations import (
     axis_angle_from_matrix,
     heading,
     matrix_from_axis_angle,
-    matrix_from_quaternion,
+    matrix_slerp,
     matrix_y,
-    quaternion_from_matrix,
-    quaternion_slerp,
 )
 from bunraku.core.motion import HandleMotion
 from bunraku.retarget.fit import posed
@@ -39,7 +37,7 @@ def laid(motion: HandleMotion, share: np.ndarray) -> tuple[np.ndarray, np.ndarra
     """
     root = motion.root_rotation.astype(np.float64)
     facing = np.asarray(matrix_y(heading(root, motion.fps)), np.float64)
-    flat = _blend(root, facing, share)
+    flat = matrix_slerp(root, facing, share)
     seen = flat.transpose(0, 2, 1) @ root  # what is left of the tilt is for the parts to keep
     rotations = motion.rotations.astype(np.float64).copy()
     for part in (*_LYING_LINE, *_FRONT):
@@ -49,14 +47,8 @@ def laid(motion: HandleMotion, share: np.ndarray) -> tuple[np.ndarray, np.ndarra
         if part in _FRONT:
             up = np.maximum(np.arctan2(ahead[:, 1], np.hypot(ahead[:, 0], ahead[:, 2])), 0)
             level = level @ matrix_from_axis_angle(-up[:, None] * np.array([1.0, 0, 0]))
-        rotations[:, part] = _blend(turned, level, share)
+        rotations[:, part] = matrix_slerp(turned, level, share)
     return rotations, flat
-
-
-def _blend(start: np.ndarray, end: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Rotations (N, 3, 3) so far from one to another."""
-    first, last = quaternion_from_matrix(start), quaternion_from_matrix(end)
-    return np.asarray(matrix_from_quaternion(quaternion_slerp(first, last, share)))
 
 
 # Chosen by eye on the sheets of tools/make_creature_sheets.py.

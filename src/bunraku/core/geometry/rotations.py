@@ -134,6 +134,11 @@ def quaternion_slerp(start: np.ndarray, end: np.ndarray, share: np.ndarray) -> n
     return _unit(np, a * start + b * end)
 
 
+def matrix_slerp(start: np.ndarray, end: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Rotations so far on the way from some to others, shapes [..., 3, 3], [..., 3, 3], [...] -> [..., 3, 3]."""
+    return matrix_from_quaternion(quaternion_slerp(quaternion_from_matrix(start), quaternion_from_matrix(end), share))
+
+
 def continuous(quaternions: np.ndarray) -> np.ndarray:
     """Quaternions of N frames, shape (N, ..., 4), with signs that never jump, so that they can be interpolated."""
     flips = np.where((quaternions[1:] * quaternions[:-1]).sum(-1) < 0, -1.0, 1.0)

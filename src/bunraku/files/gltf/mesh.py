@@ -304,11 +304,9 @@ def _influences(
 
 
 def _borrow(
-    raws: list[np.ndarray],
-    triangles: list[np.ndarray],
-    held: list[tuple[np.ndarray, np.ndarray] | None],
+    raws: list[np.ndarray], triangles: list[np.ndarray], held: list[tuple[np.ndarray, np.ndarray] | None],
     idle: np.ndarray,
-) -> None:
+) -> None:  # fmt: skip
     """Give the vertices of a mesh that no joint moves the weights of the nearest ones that some do, in place; loose
     pieces of them move as a whole.
 
@@ -318,39 +316,33 @@ def _borrow(
         held: Slots and shares of each (`_influences`); rows of shares sum to more than 0 afterwards.
         idle: Slots of joints that move nothing (`SkinJoints.idle`), shape (slots,), bool.
     """
-    where = [number for number, pair in enumerate(held) if pair is not None]
-    pairs = [pair for pair in held if pair is not None]
-    lost = [(shares * ~idle[slots]).sum(axis=1) <= 1e-9 for slots, shares in pairs]
-    if not any(some.any() for some in lost):
+    pairs = {number: pair for number, pair in enumerate(held) if pair is not None}
+    if not any(((pair[1] * ~idle[pair[0]]).sum(axis=1) <= 1e-9).any() for pair in pairs.values()):
         return
-    width = max(slots.shape[1] for slots, _ in pairs)
+    from scipy.spatial import cKDTree
+
+    starts = np.cumsum([0, *(len(raws[number]) for number in pairs)])
+    width = max(pair[0].shape[1] for pair in pairs.values())
     slots, shares = (
-        np.concatenate([np.pad(pair[part], ((0, 0), (0, width - pair[part].shape[1]))) for pair in pairs])
+        np.concatenate([np.pad(pair[part], ((0, 0), (0, width - pair[part].shape[1]))) for pair in pairs.values()])
         for part in (0, 1)
     )
-    gone, points = np.concatenate(lost), np.nan_to_num(np.concatenate([raws[number] for number in where]))
-    shares[gone] = 0
-    if gone.all():
-        slots[:], shares[:, 0] = 0, 1
-    else:
-        from scipy.spatial import cKDTree
-
-        starts = np.cumsum([0, *(len(raws[number]) for number in where)])
-        corners = np.concatenate([triangles[number] + start for number, start in zip(where, starts, strict=False)])
-        index = np.unique(points, axis=0, return_inverse=True)[1].reshape(-1)
-        edges = np.concatenate([index[corners[:, [0, 1]]], index[corners[:, [1, 2]]]])
-        piece = mesh_parts(edges, int(index.max()) + 1)[index]
-        rows, good = np.flatnonzero(gone), np.flatnonzero(~gone)
-        gap, near = cKDTree(points[good]).query(points[rows])
-        near = good[near]
-        order = np.argsort(gap, kind="stable")  # of a loose piece, the vertex that is nearest speaks for all
-        first = order[np.unique(piece[rows][order], return_index=True)[1]]
-        nearest = np.zeros(int(piece.max()) + 1, int)
-        nearest[piece[rows[first]]] = near[first]
-        near = np.where(np.isin(piece[rows], piece[good]), near, nearest[piece[rows]])
-        slots[rows], shares[rows] = slots[near], shares[near]
-    for number, start in zip(where, np.cumsum([0, *(len(raws[number]) for number in where)]), strict=False):
-        held[number] = slots[start : start + len(raws[number])], shares[start : start + len(raws[number])]
+    held_by_some = (shares * ~idle[slots]).sum(axis=1) > 1e-9
+    lost, good = np.flatnonzero(~held_by_some), np.flatnonzero(held_by_some)
+    if not len(good):
+        lost, good, slots[0], shares[0] = lost[1:], lost[:1], 0, np.eye(1, width)
+    points = np.nan_to_num(np.concatenate([raws[number] for number in pairs]))
+    corners = np.concatenate([triangles[number] + start for number, start in zip(pairs, starts, strict=False)])
+    index = np.unique(points, axis=0, return_inverse=True)[1].reshape(-1)
+    piece = mesh_parts(np.concatenate([index[corners[:, :2]], index[corners[:, 1:]]]), int(index.max()) + 1)[index]
+    piece[lost] = np.where(np.isin(piece[lost], piece[good]), len(points) + lost, piece[lost])  # each for itself
+    gap, near = cKDTree(points[good]).query(points[lost])
+    order = np.argsort(gap, kind="stable")  # of a loose piece, the vertex that is nearest speaks for all
+    _, first, back = np.unique(piece[lost][order], return_index=True, return_inverse=True)
+    near[order] = near[order][first][back.reshape(-1)]
+    slots[lost], shares[lost] = slots[good[near]], shares[good[near]]
+    for number, own, share in zip(pairs, np.split(slots, starts[1:-1]), np.split(shares, starts[1:-1]), strict=True):
+        held[number] = own, share
 
 
 def _skinned(

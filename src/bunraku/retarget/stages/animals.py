@@ -19,11 +19,9 @@ from bunraku.core.geometry.rotations import (
     axis_angle_from_matrix,
     heading,
     matrix_from_axis_angle,
-    matrix_from_quaternion,
+    matrix_slerp,
     matrix_y,
     nearest_rotation,
-    quaternion_from_matrix,
-    quaternion_slerp,
 )
 from bunraku.core.motion import HandleMotion
 from bunraku.retarget.stages.stage import Fitting, Stage, sole_points, with_feet_moved
@@ -130,7 +128,7 @@ class Gait(Stage):
                 at = frames - shift
                 at = np.where(at < 0, at + cycle * motion.fps, at)  # the first round steps as the next one does
                 late = _at(rotations[:, handle], np.clip(at, 0, count - 1))
-                rotations[:, handle] = _between(rotations[:, handle], late, amount)
+                rotations[:, handle] = matrix_slerp(rotations[:, handle], late, amount)
         return rotations
 
     def _amount(self, swings: np.ndarray, cycle: float) -> np.ndarray:
@@ -146,13 +144,7 @@ class Gait(Stage):
 def _at(rotations: np.ndarray, times: np.ndarray) -> np.ndarray:
     low = np.floor(times).astype(int)
     high = np.minimum(low + 1, len(rotations) - 1)
-    return _between(rotations[low], rotations[high], times - low)
-
-
-def _between(start: np.ndarray, end: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Rotations (N, 3, 3) on the way from one to another."""
-    first, last = np.asarray(quaternion_from_matrix(start)), np.asarray(quaternion_from_matrix(end))
-    return np.asarray(matrix_from_quaternion(quaternion_slerp(first, last, share)))
+    return matrix_slerp(rotations[low], rotations[high], times - low)
 
 
 def pairs_of(legs: list[Leg]) -> list[tuple[Leg, Leg]]:
