@@ -9,7 +9,7 @@ import pytest
 
 from bunraku.anatomy.handles.predict import predict_handles
 from bunraku.apparel.part_network import PARTS
-from bunraku.apparel.parts import handles_of_body, part_point, parts_of, with_part
+from bunraku.apparel.parts import Parts, handles_of_body, off_arms, part_point, parts_of, with_part
 from bunraku.core.body.corrections import SUFFIX, Corrections, Piece
 from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.body.reference import reference_body
@@ -77,6 +77,17 @@ def test_a_figure_glides_with_the_base_that_it_stands_on():
     alone = predict_handles(reference_body().character()).weights
     arm = HANDLE_NAMES.index("left_elbow")
     np.testing.assert_allclose(weights[~added, arm], alone[:, arm], atol=0.02)
+
+
+def test_a_cape_goes_with_the_chest_and_a_sleeve_with_its_arm():
+    chest, elbow = HANDLE_NAMES.index("spine3"), HANDLE_NAMES.index("left_elbow")
+    kinds, carriers = ("cape", "sleeve"), ("chest", "left arm")
+    number = np.array([-1, 0, 0, 1])
+    label = np.array([PARTS.index(kind) for kind in ("body", "cape", "cape", "sleeve")], np.int8)
+    weights = np.zeros((4, len(HANDLE_NAMES)), np.float32)
+    weights[:, elbow], weights[1, elbow], weights[1, chest] = 1, 0.4, 0.6
+    off_arms(Parts(label, number, number >= 0, kinds, carriers), weights)
+    assert weights[:, elbow].tolist() == [1, 0, 0, 1] and weights[1:3, chest].tolist() == [1, 1]
 
 
 def test_a_part_has_the_kind_that_it_is_given_also_from_the_file_beside(tmp_path):

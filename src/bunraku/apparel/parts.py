@@ -375,15 +375,32 @@ def handles_of_body(character: Character, predict: Callable[[Character], Handles
     if areas[~left].sum() < BARE * areas.sum():
         left = base = np.zeros_like(left)
     handles = predict(replace(character, beside=left | _beside(character)) if left.any() else character)
-    if handles.rigid or not (left.any() or np.isin(parts.label, STIFF).any()):
+    if handles.rigid or not len(parts):
         return handles
     weights = np.array(stiff_weights(character, parts, handles.weights, left))
+    off_arms(parts, weights)
     if base.any():  # a figure for print, or a statue, glides with its base: no leg that stands on it bends
         legs = np.asarray(_HANDLES[-2:].any(axis=0))[handles.played]
         weights[:, 0] += weights[:, legs].sum(axis=1)
         weights[:, legs] = 0
         weights[base] = np.eye(1, weights.shape[1])
     return replace(handles, weights=weights)
+
+
+def off_arms(parts: Parts, weights: np.ndarray) -> None:
+    """Let what hangs follow no arm that it merely lies on, in place: a cape goes with the chest that carries it.
+
+    Args:
+        parts: Of a character of V vertices.
+        weights: Of its handles, shape (V, 30).
+    """
+    arms = _HANDLES[[CARRIERS.index("left arm"), CARRIERS.index("right arm")]].any(axis=0)
+    for number, carrier in enumerate(parts.carriers):
+        rows = np.flatnonzero((parts.number == number) & parts.hangs)
+        if "arm" not in carrier and len(rows):
+            away = weights[rows][:, arms].sum(axis=1)
+            weights[np.ix_(rows, arms)] = 0
+            weights[rows, carried_by(carrier, weights[rows].sum(axis=0))] += away
 
 
 def stiff_weights(character: Character, parts: Parts, weights: np.ndarray, left: np.ndarray) -> np.ndarray:

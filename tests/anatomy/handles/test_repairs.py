@@ -9,8 +9,6 @@ import trimesh
 from bunraku.anatomy.handles.repairs import (
     DropDoubtfulLimbs,
     EarsToHead,
-    HairOffArms,
-    HairToHead,
     JoinRegions,
     Patient,
     SeatParts,
@@ -187,70 +185,6 @@ def test_a_limb_that_holds_no_vertex_surely_is_not_there(left, right, there):
         np.testing.assert_allclose(found, weights, atol=1e-6)
     else:
         np.testing.assert_allclose(found[:, H["head"]], 1)
-
-
-def test_hair_that_lies_on_an_arm_goes_with_the_head():
-    """A loose tail from the crown down to the hand, which the network gives half to the arm; a sleeve stays with it."""
-    trunk = trimesh.creation.box((1, 2, 0.5))
-    head = trimesh.creation.box((0.8, 0.8, 0.8)).apply_translation([0, 1.5, 0])
-    arm = trimesh.creation.box((0.3, 1.6, 0.3)).apply_translation([0.8, 0.1, 0])
-    tail = trimesh.creation.box((0.1, 2.6, 0.1)).apply_translation([1.1, 0.6, 0])
-    pieces = [piece.subdivide().subdivide().subdivide() for piece in (trunk, head, arm, tail)]
-    whole = trimesh.util.concatenate(pieces)
-    mesh = network_mesh(whole.vertices, whole.faces, 2500)
-    position = mesh.vertices * mesh.scale + mesh.center
-    owner = np.array([H["spine2"], H["head"], H["left_shoulder"]])
-    hair = position[:, 0] > 1.0
-    nearest = np.where(np.abs(position[:, 0]) > 0.6, 2, np.where(position[:, 1] > 1.05, 1, 0))
-    hard_weights = np.eye(HANDLE_COUNT, dtype=np.float32)[owner[nearest]]
-    hard_weights[hair] = 0
-    hard_weights[hair, H["left_wrist"]] = position[hair, 1] <= 0.9
-    hard_weights[hair, H["head"]] = position[hair, 1] > 0.9
-    found = mended(HairToHead(), mesh, hard_weights)
-    np.testing.assert_allclose(found.sum(axis=1), 1, atol=1e-6)
-    np.testing.assert_allclose(found[~hair], hard_weights[~hair])
-    assert found[hair][:, [H["head"], H["head_top"]]].sum(axis=1).min() > 0.999
-
-
-def dressed_body():
-    """A trunk with an arm along x, a sleeve round it that begins at the trunk, and a sheet behind it that hangs from
-    the trunk's top; the predictor gives all that lies beyond x = 0.3 to the arm.
-    """
-    sleeve = trimesh.creation.annulus(0.12, 0.14, 0.6, transform=trimesh.geometry.align_vectors([0, 0, 1], [1, 0, 0]))
-    pieces = [
-        trimesh.creation.box((0.4, 1, 0.3)),
-        trimesh.creation.box((0.8, 0.1, 0.1)).apply_translation([0.6, 0.4, 0]),
-        sleeve.apply_translation([0.5, 0.4, 0]),
-        trimesh.creation.box((0.8, 1.0, 0.02)).apply_translation([0.2, 0.02, -0.3]),
-    ]
-    whole = trimesh.util.concatenate([piece.subdivide_to_size(0.06) for piece in pieces])
-    mesh = network_mesh(whole.vertices, whole.faces, 3000)
-    position = mesh.vertices * mesh.scale + mesh.center
-    weights = np.zeros((len(position), HANDLE_COUNT), np.float32)
-    arm = position[:, 0] > 0.3
-    outer = position[:, 0] > 0.7
-    weights[~arm, H["spine3"]] = 1
-    weights[arm & ~outer, H["left_shoulder"]] = 1
-    weights[outer, H["left_wrist"]] = 1
-    return mesh, position, weights
-
-
-def test_a_cape_is_freed_and_a_sleeve_is_not():
-    mesh, position, weights = dressed_body()
-    found = mended(HairOffArms(), mesh, weights)
-    cape = position[:, 2] < -0.25
-    assert (cape & (position[:, 0] > 0.3)).sum() > 20
-    np.testing.assert_allclose(found.sum(axis=1), 1, atol=1e-6)
-    np.testing.assert_allclose(found[~cape], weights[~cape])
-    np.testing.assert_allclose(found[cape, H["spine3"]], 1, atol=1e-6)
-
-
-def test_a_part_of_the_arm_stays_with_it():
-    mesh, position, weights = dressed_body()
-    cape = position[:, 2] < -0.25
-    weights[cape] = 0
-    weights[cape, H["left_elbow"]] = 1  # a shield: the arm holds its top as well
-    np.testing.assert_array_equal(mended(HairOffArms(), mesh, weights), weights)
 
 
 BUTTON, HAND = np.array([0, 0.5, 0.52]), np.array([1.06, -0.5, 0])

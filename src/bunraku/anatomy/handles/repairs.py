@@ -8,10 +8,9 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
-from bunraku.anatomy.handles.limbs import ARMS, LEGS, LIMB_HANDLES
+from bunraku.anatomy.handles.limbs import ARMS, LEGS
 from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES, HANDLE_PARENTS
 from bunraku.core.body.reference import handle_positions
-from bunraku.core.geometry.axes import directions_about, goes_round
 from bunraku.core.geometry.graph import mean_operator, mesh_parts
 from bunraku.core.geometry.simplify import NetworkMesh
 from bunraku.core.motion import lines_up
@@ -85,94 +84,6 @@ class DropDoubtfulLimbs(Repair):
                 out[:, np.concatenate(sides)] = 0
         left = out.sum(axis=1, keepdims=True)
         return np.where(left > 0, out / np.maximum(left, 1e-12), weights).astype(np.float32)
-
-
-@dataclass(frozen=True)
-class HairToHead(Repair):
-    """No loose part that hangs from the head goes with a limb that it lies on: hands and knees do not drag twin tails.
-
-    All thresholds were chosen by eye.
-
-    Args:
-        held: Share of a loose part that the head holds; less is a sleeve.
-        root: The root of a part, as a share of its height from the top.
-        of_root: Share of the root that the head holds.
-        trunk: Share of the trunk that such a part is at the most; more is the body itself.
-        limb: The same of a limb, of which long hair takes more than is left.
-    """
-
-    held: float = 0.05
-    root: float = 0.15
-    of_root: float = 0.5
-    trunk: float = 0.3
-    limb: float = 0.7
-
-    def __call__(self, body: Patient, weights: np.ndarray) -> np.ndarray:
-        part, height = body.mesh.components, body.mesh.vertices[:, 1]
-        count = part.max() + 1
-
-        def held(handles: list[int], share: np.ndarray = body.areas) -> np.ndarray:
-            return np.bincount(part, share * weights[:, handles].sum(axis=1), count)
-
-        low, high = np.full(count, np.inf), np.full(count, -np.inf)
-        np.minimum.at(low, part, height)
-        np.maximum.at(high, part, height)
-        top = height >= (high - self.root * (high - low))[part]
-        trunk, everywhere = held(_TRUNK), list(range(weights.shape[1]))
-        hangs = held(_HEAD, body.areas * top) > self.of_root * held(everywhere, body.areas * top)
-        loose = hangs & (held(_HEAD) > self.held * held(everywhere)) & (trunk < self.trunk * trunk.sum())
-        out = np.array(weights, np.float64)
-        for limb in (LEGS[0], ARMS[0], LEGS[1], ARMS[1]):
-            of_limb = held(limb)
-            rows = np.flatnonzero((loose & (of_limb < self.limb * of_limb.sum()))[part])
-            out[rows, _TOP] += out[rows][:, limb].sum(axis=1)
-            out[rows[:, None], limb] = 0
-        return out.astype(np.float32)
-
-
-@dataclass(frozen=True)
-class HairOffArms(Repair):
-    """A loose part that hangs from the head or the trunk goes with no arm that it does not go round.
-
-    What the arm held goes to the other handles of the part's vertices, or else to those of its root. All thresholds
-    were chosen by eye.
-
-    Args:
-        held: A vertex goes with an arm that holds this share of it.
-        root: The root of a part, as a share of its height from the top.
-        of_root: Share of the root that the limbs do not hold.
-        fewest: Vertices of a part.
-    """
-
-    held: float = 0.1
-    root: float = 0.15
-    of_root: float = 0.5
-    fewest: int = 12
-
-    def __call__(self, body: Patient, weights: np.ndarray) -> np.ndarray:
-        mesh, part = body.mesh, body.mesh.components
-        out = np.array(weights, np.float64)
-        others = np.setdiff1d(np.arange(HANDLE_COUNT), LIMB_HANDLES)
-        positions = handle_positions(mesh.vertices, weights, mesh.areas)
-        for arm in map(np.array, ARMS):
-            held = weights[:, arm].sum(axis=1) > self.held
-            angle = directions_about(mesh.vertices, positions[arm[0]], positions[arm[-1]])
-            for number in np.unique(part[held]):
-                members = part == number
-                if members.sum() < self.fewest or goes_round(angle[members & held]):
-                    continue
-                height, rows = mesh.vertices[members, 1], np.flatnonzero(members)
-                top = rows[height >= height.max() - self.root * np.ptp(height)]
-                root = body.areas[top] @ weights[top][:, others]
-                if root.sum() < self.of_root * body.areas[top].sum():
-                    continue
-                away = out[np.ix_(rows, arm)].sum(axis=1)
-                out[np.ix_(rows, arm)] = 0
-                left = out[rows].sum(axis=1)
-                kept = left > 0.5
-                out[rows[kept]] *= ((left + away) / np.maximum(left, 1e-9))[kept, None]
-                out[np.ix_(rows[~kept], others)] += away[~kept, None] * root / root.sum()
-        return out.astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -344,7 +255,7 @@ class SoftenTornEdges(Repair):
 
 
 REPAIRS: tuple[Repair, ...] = (
-    DropDoubtfulLimbs(), HairToHead(), HairOffArms(), EarsToHead(), JoinRegions(), SoftenTornEdges(),
+    DropDoubtfulLimbs(), EarsToHead(), JoinRegions(), SoftenTornEdges(),
 )  # fmt: skip
 """All repairs, in the order in which they run."""
 
