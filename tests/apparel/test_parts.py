@@ -9,7 +9,7 @@ import pytest
 
 from bunraku.anatomy.handles.predict import predict_handles
 from bunraku.apparel.part_network import PARTS
-from bunraku.apparel.parts import Parts, handles_of_body, off_arms, part_point, parts_of, with_part
+from bunraku.apparel.parts import Parts, handles_of_body, off_limbs, part_point, parts_of, with_part
 from bunraku.core.body.corrections import SUFFIX, Corrections, Piece
 from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.body.reference import reference_body
@@ -86,7 +86,7 @@ def test_a_cape_goes_with_the_chest_and_a_sleeve_with_its_arm():
     label = np.array([PARTS.index(kind) for kind in ("body", "cape", "cape", "sleeve")], np.int8)
     weights = np.zeros((4, len(HANDLE_NAMES)), np.float32)
     weights[:, elbow], weights[1, elbow], weights[1, chest] = 1, 0.4, 0.6
-    off_arms(Parts(label, number, number >= 0, kinds, carriers), weights)
+    off_limbs(Parts(label, number, number >= 0, kinds, carriers), weights)
     assert weights[:, elbow].tolist() == [1, 0, 0, 1] and weights[1:3, chest].tolist() == [1, 1]
 
 

@@ -378,29 +378,51 @@ def handles_of_body(character: Character, predict: Callable[[Character], Handles
     if handles.rigid or not len(parts):
         return handles
     weights = np.array(stiff_weights(character, parts, handles.weights, left))
-    off_arms(parts, weights)
-    if base.any():  # a figure for print, or a statue, glides with its base: no leg that stands on it bends
-        legs = np.asarray(_HANDLES[-2:].any(axis=0))[handles.played]
-        weights[:, 0] += weights[:, legs].sum(axis=1)
-        weights[:, legs] = 0
-        weights[base] = np.eye(1, weights.shape[1])
+    off_limbs(parts, weights)
+    if base.any():
+        glide_with(base, character, weights, handles.played)
     return replace(handles, weights=weights)
 
 
-def off_arms(parts: Parts, weights: np.ndarray) -> None:
-    """Let what hangs follow no arm that it merely lies on, in place: a cape goes with the chest that carries it.
+def glide_with(base: np.ndarray, character: Character, weights: np.ndarray, played: np.ndarray) -> None:
+    """Let a figure for print, or a statue, glide with its base, in place: its legs and whatever other limb stands on
+    the base do not bend.
+
+    Args:
+        base: Vertices of the base, shape (V,), bool.
+        character: The figure.
+        weights: Of its handles, shape (V, 30).
+        played: The part that each handle plays, shape (30,).
+    """
+    vertices = character.vertices.astype(np.float64)
+    reach = BORDER * float(np.ptp(vertices, axis=0).max())
+    away = cKDTree(vertices[base]).query(vertices)[0]
+    border = ~base & (away < reach)
+    for carrier, limb in zip(CARRIERS, _HANDLES[:, played], strict=True):
+        rests = weights[border][:, limb].sum() > LEAST_SHARE * max(int(border.sum()), 1)
+        if carrier.endswith("leg") or (carrier.endswith("arm") and rests):
+            weights[:, 0] += weights[:, limb].sum(axis=1)
+            weights[:, limb] = 0
+    free = smooth_step(away, 0.0, reach)[:, None]
+    weights[:] = free * weights + (1 - free) * np.eye(1, weights.shape[1])
+
+
+def off_limbs(parts: Parts, weights: np.ndarray) -> None:
+    """Let clothes and hair follow no arm that they merely lie on, in place, and hair no leg either: a cape goes with
+    the chest that carries it.
 
     Args:
         parts: Of a character of V vertices.
         weights: Of its handles, shape (V, 30).
     """
-    arms = _HANDLES[[CARRIERS.index("left arm"), CARRIERS.index("right arm")]].any(axis=0)
-    for number, carrier in enumerate(parts.carriers):
-        rows = np.flatnonzero((parts.number == number) & parts.hangs)
-        if "arm" not in carrier and len(rows):
-            away = weights[rows][:, arms].sum(axis=1)
-            weights[np.ix_(rows, arms)] = 0
-            weights[rows, carried_by(carrier, weights[rows].sum(axis=0))] += away
+    arms, legs = (_HANDLES[[name.endswith(limb) for name in CARRIERS]].any(axis=0) for limb in ("arm", "leg"))
+    for number, (kind, carrier) in enumerate(zip(parts.kinds, parts.carriers, strict=True)):
+        rows, limbs = np.flatnonzero(parts.number == number), arms | legs if kind == "hair" else arms
+        if len(rows) and PARTS.index(kind) in HANGING and (kind == "hair" or not carrier.endswith("arm")):
+            away = weights[rows][:, limbs].sum(axis=1)
+            weights[np.ix_(rows, limbs)] = 0
+            holder = _HEAD if kind == "hair" else carried_by(carrier, weights[rows].sum(axis=0))
+            weights[rows, holder] += away
 
 
 def stiff_weights(character: Character, parts: Parts, weights: np.ndarray, left: np.ndarray) -> np.ndarray:

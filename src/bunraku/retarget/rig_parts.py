@@ -245,7 +245,7 @@ def _at_heads(joints: Joints, heads: np.ndarray, leads: np.ndarray, height: floa
 
 def _moves_all(body: Anatomy, shared: np.ndarray, parts: np.ndarray) -> bool:
     """Whether bones can move what carries a body, each limb on its own: its legs and the arms of a person, or, without
-    legs, its wings or its tail.
+    legs and lying, its wings or its tail.
 
     Args:
         body: The body by the handles of its mesh.
@@ -260,7 +260,7 @@ def _moves_all(body: Anatomy, shared: np.ndarray, parts: np.ndarray) -> bool:
 
     limbs = [limb for limb in body.extra_limbs if limb[0] not in body.appendages]
     limbs += (LEGS if plan.legs else []) + (ARMS if plan.kind == "person" or plan.front else [])
-    carried = bool(plan.legs) or not (plan.wings or plan.tail)
+    carried = bool(plan.legs) or plan.upright or not (plan.wings or plan.tail)
     carried |= (plan.wings and all(map(moved, _WINGS))) or (plan.tail and moved(_TAIL))
     return len(np.unique(parts[parts != NO_HANDLE])) >= FEWEST_PARTS and carried and all(map(moved, limbs))
 
