@@ -266,20 +266,10 @@ def test_gltf_with_files_beside_it_and_inside_it(tmp_path):
         assert np.array_equal(load_character(path).vertices, CUBE)
 
 
-@pytest.mark.parametrize(
-    "uri",
-    [
-        "../secret.bin",
-        "/etc/passwd",
-        "https://example.org/a.bin",
-        "file:///etc/passwd",
-        "a/../../secret.bin",
-        "..%2Fsecret.bin",
-        "C:\\secret.bin",
-        "link.bin",
-        7,
-    ],
-)
+OUTSIDE = ["../secret.bin", "/etc/passwd", "https://example.org/a.bin", "file:///etc/passwd", "a/../../secret.bin"]
+
+
+@pytest.mark.parametrize("uri", [*OUTSIDE, "..%2Fsecret.bin", "C:\\secret.bin", "link.bin", 7])
 @pytest.mark.parametrize("kind", ["buffers", "images"])
 def test_files_outside_the_folder_are_not_opened(tmp_path, uri, kind):
     (tmp_path / "secret.bin").write_bytes(bytes(1000))

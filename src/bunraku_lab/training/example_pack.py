@@ -406,11 +406,11 @@ def _widest(
         gains[place] = -1
     stays = sorted([*ours, *(index for index in kept if index < len(base.examples))])
     place_of = {index: number for number, index in enumerate(stays)}
-    told = np.isin(base.owners, stays)
+    kept_rows = np.isin(base.owners, stays)
     slim = replace(
         base, examples=tuple(base.examples[index] for index in stays), data=tuple(base.data[index] for index in stays),
-        owners=np.array([place_of[owner] for owner in base.owners[told].tolist()], np.int32),
-        texts=base.texts[:, told], motions=base.motions[:, stays], stand=None,
+        owners=np.array([place_of[owner] for owner in base.owners[kept_rows].tolist()], np.int32),
+        texts=base.texts[:, kept_rows], motions=base.motions[:, stays], stand=None,
         readings=None,
     )  # fmt: skip
     return slim, [found[index - len(base.examples)] for index in sorted(kept) if index >= len(base.examples)]

@@ -95,17 +95,8 @@ def test_all_clips_of_the_archive_are_watched_or_have_labels_with_rewordings():
 
 def test_creatures_have_sentences_by_name_as_it_and_as_a_person():
     variants = creature_variants("horse", "gallop")
-    for sentence in (
-        "a horse gallops",
-        "it gallops",
-        "gallops",
-        "gallop",
-        "galloping",
-        "the creature gallops",
-        "a person gallops",
-        "a person runs",
-    ):
-        assert sentence in variants, sentence
+    said = {"a horse gallops", "it gallops", "gallops", "gallop", "galloping", "the creature gallops"}
+    assert said | {"a person gallops", "a person runs"} <= set(variants)
     assert any(sentence.startswith(("the horse", "a horse is")) for sentence in variants)
     assert variants == creature_variants("horse", "gallop") and len(set(variants)) == len(variants)
     assert any(sentence.startswith("the character ") for sentence in variants)

@@ -40,13 +40,18 @@ def test_motions_are_picked_by_caption_then_by_name(tmp_path):
         pick_motions(tmp_path)
 
 
-def test_the_table(tmp_path):
-    body = reference_body()
-    turns = np.zeros((10, 22, 3))
-    turns[:, JOINT_NAMES.index("left_shoulder"), 2] = np.linspace(-1.2, 0.3, 10)
-    motion = SkeletalMotion(body.skeleton, matrix_from_axis_angle(turns), np.tile(body.joints[0], (10, 1)), 20.0)
+def raised_arm(folder, frames):
+    """The reference body, turns of its joints that raise an arm, and that motion, also as the file of each kind."""
+    body, turns = reference_body(), np.zeros((frames, 22, 3))
+    turns[:, JOINT_NAMES.index("left_shoulder"), 2] = np.linspace(-1.2, 0.3, frames)
+    motion = SkeletalMotion(body.skeleton, matrix_from_axis_angle(turns), np.tile(body.joints[0], (frames, 1)), 20.0)
     for kind in KINDS:
-        write_bvh(motion, tmp_path / f"{kind}.bvh")
+        write_bvh(motion, folder / f"{kind}.bvh")
+    return body, turns, motion
+
+
+def test_the_table(tmp_path):
+    body, turns, motion = raised_arm(tmp_path, 10)
     (tmp_path / "characters").mkdir()
     RigAnimation(body.character(), matrix_from_axis_angle(turns), np.zeros((10, 22, 3))).save(
         tmp_path / "characters" / "person.glb"
@@ -66,14 +71,8 @@ def test_the_table(tmp_path):
 
 
 def test_processes_give_the_same_table_of_transfer(tmp_path):
-    body = reference_body()
-    turns = np.zeros((8, 22, 3))
-    turns[:, JOINT_NAMES.index("left_shoulder"), 2] = np.linspace(-1.2, 0.3, 8)
-    motion = SkeletalMotion(body.skeleton, matrix_from_axis_angle(turns), np.tile(body.joints[0], (8, 1)), 20.0)
-    for kind in KINDS:
-        write_bvh(motion, tmp_path / f"{kind}.bvh")
-    folder = tmp_path / "characters"
-    folder.mkdir()
+    body, turns, _ = raised_arm(tmp_path, 8)
+    (folder := tmp_path / "characters").mkdir()
     RigAnimation(body.character(), matrix_from_axis_angle(turns), np.zeros((8, 22, 3))).save(folder / "person.glb")
     (folder / "broken.glb").write_bytes(b"glTF")
     (folder / "a.glb").write_bytes((folder / "person.glb").read_bytes())

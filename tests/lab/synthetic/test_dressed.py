@@ -97,19 +97,8 @@ def test_sleeves_trousers_and_skirts_are_labelled(wardrobe):
     skin = wardrobe.part(worn, "body")
     assert shirt.points[:, 0].max() < skin.points[:, 0].max()
     rng = np.random.default_rng(0)
-    for make in (
-        extras.hat,
-        extras.ears,
-        extras.spikes,
-        extras.glasses,
-        extras.helmet,
-        extras.cape,
-        extras.wings,
-        extras.tail,
-        extras.bag,
-        extras.shoulder_pads,
-    ):
-        piece = make(wardrobe, worn, rng)
+    for name in ["hat", "ears", "spikes", "glasses", "helmet", "cape", "wings", "tail", "bag", "shoulder_pads"]:
+        piece = getattr(extras, name)(wardrobe, worn, rng)
         assert np.isfinite(piece.points).all()
         np.testing.assert_allclose(piece.handles.sum(axis=1), 1, atol=1e-9)
 
