@@ -166,9 +166,7 @@ class Anatomy:
 
     @cached_property
     def extra_limbs(self) -> list[list[int]]:
-        """The handles beside those of a person, limb by limb, by the weights of all vertices; appendages are among
-        them.
-        """
+        """The handles beside those of a person, limb by limb, by all vertices' weights; appendages are among them."""
         return further_limbs(self.handles)
 
     @cached_property
@@ -313,9 +311,7 @@ class Anatomy:
 
     @cached_property
     def lever(self) -> np.ndarray:
-        """From the root's position in the stance to the one in the rest pose [m], shape (3,): the root turns about the
-        former.
-        """
+        """From the root's position in the stance to that at rest [m], shape (3,): the root turns about the former."""
         return np.asarray(self.handles.positions[0] - self.stance[1].positions[0])
 
     @cached_property

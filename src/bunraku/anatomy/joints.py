@@ -250,9 +250,7 @@ def reference_joints() -> Joints:
 
 @lru_cache(maxsize=1)
 def estimated_reference_joints() -> Joints:
-    """The reference body's joints as `find_joints` sees them, to compare with those of other characters [m], shape (30,
-    3).
-    """
+    """The reference body's joints as `find_joints` sees them, to compare others with [m], shape (30, 3)."""
     body = reference_body()
     return find_joints(body.character(), body.handles)
 
@@ -285,9 +283,7 @@ def _limb_of(role: int) -> list[int]:
 
 
 def further_limbs(handles: Handles) -> list[list[int]]:
-    """The handles of each further limb, from the body outwards; a part belongs to the limb that its weights touch
-    most.
-    """
+    """The handles of each further limb, from the body outwards; a part is of the limb that its weights touch most."""
     out: list[list[int]] = []
     roles = handles.played
     further = np.flatnonzero(roles != np.arange(len(roles)))
@@ -367,9 +363,7 @@ def by_limb(
 
 
 def reference_parts(handles: Handles, joints: Joints) -> tuple[np.ndarray, np.ndarray]:
-    """Parents (K,) and presence (K,) of the handles as parts of a body that has one limb of each kind: further limbs
-    are absent.
-    """
+    """Parents (K,) and presence (K,) of the handles in a body with one limb of each kind: further limbs are absent."""
     itself = handles.played == np.arange(len(handles.positions))
     parents = np.where(itself, joints.parents, HANDLE_PARENTS)
     for handle in np.flatnonzero(~itself):

@@ -1,6 +1,4 @@
-"""Rest poses reconciled: limbs rotated from where they rest to where the reference body's rest, also those of rigid
-blocks.
-"""
+"""Rest poses reconciled: limbs, also of rigid blocks, rotated from where they rest to where the reference body's do."""
 
 from __future__ import annotations
 
@@ -88,9 +86,7 @@ def rest_rotations(
 
 
 def _arm(joints: Joints, reference_joints: Joints, side: str) -> tuple[_Limb, float] | None:
-    """A whole arm, from shoulder to wrist, and how much of it turns in two parts, 0 to 1; None where a joint of it is
-    absent.
-    """
+    """An arm, from shoulder to wrist, and how much of it turns in two parts, 0 to 1; None where a joint is absent."""
     first, middle, last = (HANDLE_NAMES.index(f"{side}_{part}") for part in ("shoulder", "elbow", "wrist"))
     if not joints.present[[first, middle, last]].all():
         return None
@@ -263,9 +259,7 @@ def block_joints(handles: Handles) -> Joints:
 
 
 def pieces(limb: tuple[int, ...], joints: Joints) -> list[tuple[int, int]]:
-    """The pieces of an arm or a leg, each as its handle and the one where it ends: the next that is present, or the
-    wrist or ankle.
-    """
+    """The pieces of an arm or a leg: the handle of each and where it ends, the next one present, or wrist or ankle."""
     there = [handle for handle in limb if joints.present[handle]]
     if not there:
         return []

@@ -1,6 +1,4 @@
-"""The body under apparel: one set of joints for all characters, its surface without apparel, its points, and the depth
-of a point in it.
-"""
+"""The body under apparel: one set of joints for all, its surface without apparel, its points, and depth in it."""
 
 from __future__ import annotations
 

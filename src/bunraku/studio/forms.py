@@ -465,9 +465,7 @@ class ClipsForm:
 
 
 def check_asked(how: object, script: object, asked: object) -> None:
-    """Raise OptionError unless a page can have requested a take: how it was made, its script, and what its record kept
-    of the form.
-    """
+    """Raise OptionError unless a page can have requested a take: how it was made, its script and its record's form."""
     kept: dict[str, Any] = asked if isinstance(asked, dict) else {}
     if how == "animate":
         form = from_json(TakeForm, {**kept, "script": script})

@@ -1,6 +1,4 @@
-"""The process that does the work, one task at a time, and how an error reads to the page: one sentence without
-paths.
-"""
+"""The process that does the work, task by task, and how an error reads to the page: one sentence without paths."""
 
 from __future__ import annotations
 

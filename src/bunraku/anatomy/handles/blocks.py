@@ -1,6 +1,4 @@
-"""Figures of rigid blocks: which blocks a file has, where they touch, which part of the body each one is, and their
-handles.
-"""
+"""Figures of rigid blocks: a file's blocks, where they touch, which part of the body each one is, and their handles."""
 
 from __future__ import annotations
 
@@ -140,9 +138,7 @@ def _of_nodes(character: Character) -> Blocks | None:
 
 
 def _named_above(node: int, names: list[str], parents: np.ndarray, meshes: set[int]) -> int:
-    """The node that names a mesh: its own, or one without a mesh above it, where that is understood and its own is
-    not.
-    """
+    """The node that names a mesh: its own, or one above it without a mesh, where that alone is understood."""
     above = node
     while block_of_name(names[above])[0] == "":
         above = int(parents[above])
@@ -389,9 +385,7 @@ class _Tree:
         return out
 
     def trunk(self) -> list[int]:
-        """The blocks of the trunk: those named so that hang on one another, and those on which limbs of both sides
-        stand.
-        """
+        """Blocks of the trunk: those named so that hang on one another, and those that bear limbs of both sides."""
         shapes, out = self.shapes, [self.root]
         floor = float(shapes.low[:, 1].min()) + FLOOR * shapes.height
         for member in out:

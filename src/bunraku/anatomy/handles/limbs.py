@@ -192,9 +192,7 @@ _SPARE_FIRST = (
 
 
 def _person(mesh: NetworkMesh, weights: np.ndarray) -> bool:
-    """Whether a character stands upright and tall on its legs; what looks like further limbs are its clothes and
-    weapons.
-    """
+    """Whether a character stands upright and tall on its legs; further limbs are then clothes and weapons."""
     positions = handle_positions(mesh.vertices, weights, mesh.areas)
     names = ("pelvis", "head", "left_ankle", "right_ankle")
     pelvis, head, *feet = (positions[HANDLE_NAMES.index(name)] for name in names)
@@ -338,9 +336,7 @@ def _fitted(splits: list[list[_Split]], areas: np.ndarray, room: int) -> list[tu
 
 
 def _canonical_part(part: int, owner: list[int]) -> int:
-    """The part that the handle of a part plays: the one nearest to the body plays the first, where that has no handle
-    of its own.
-    """
+    """The part that a part's handle plays: the one nearest to the body plays the first, if that has no handle."""
     return 0 if part == owner[0] else part
 
 
@@ -546,9 +542,7 @@ def with_appendages(
 
 
 def _moved(weights: np.ndarray, shares: np.ndarray, taken: list[int]) -> np.ndarray:
-    """Weights of which the head's share goes to the handles of its appendages; what these held before goes to the
-    head.
-    """
+    """Weights of which the head's share goes to the handles of its appendages; what these held goes to the head."""
     out = np.array(weights, np.float64)
     out[:, _HEAD[0]] += out[:, taken].sum(axis=1)
     out[:, taken] = 0

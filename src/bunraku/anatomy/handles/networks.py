@@ -1,6 +1,4 @@
-"""The networks of handles (section 3.1 of TapMo) and of orientation as they run, in numpy, and the mesh as they see
-it.
-"""
+"""The networks of handles (section 3.1 of TapMo) and of orientation in numpy, and the mesh as they see it."""
 
 from __future__ import annotations
 

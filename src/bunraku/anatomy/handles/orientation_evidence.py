@@ -177,9 +177,7 @@ class ColorEvidence(Evidence):
         return self.of_fronts(self.front_scores(self.variety(view.vertices, *view.paint))[_FRONTS])
 
     def variety(self, vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray) -> np.ndarray:
-        """Variance of the colours that are seen from each of `AXES`, by area, shape (6,); arguments as in
-        `ShapeView`.
-        """
+        """Variance of the colours seen from each of `AXES`, by area, shape (6,); arguments as in `ShapeView`."""
         normals = face_normals(vertices, faces).astype(np.float64)
         areas = np.linalg.norm(normals, axis=1)
         middles = vertices[faces].mean(axis=1) - vertices.mean(axis=0)
@@ -359,9 +357,7 @@ _AROUND = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)
 
 
 def _carried(low: np.ndarray, middle: np.ndarray) -> tuple[float, float]:
-    """How far a point is inside the hull of others in the plane, shape (N, 2), and the area of that hull; -1 and 0
-    where they have none.
-    """
+    """How far a point is inside the hull of others (N, 2), and the area of that hull; -1 and 0 where they have none."""
     if len(low) < 3 or np.ptp(low, axis=0).min() < 1e-6:
         return -1.0, 0.0
     corners = _hull(low)
@@ -395,9 +391,7 @@ def _hull(points: np.ndarray) -> np.ndarray:
 
 
 def _weights(table: dict[tuple[str, str], float], up: str, of_up: float, rest: float) -> np.ndarray:
-    """A prior: the weights of a table, `of_up` for others with that axis up, `rest` for all others; they sum to 1,
-    shape (24,).
-    """
+    """A prior (24,) that sums to 1: weights of a table, `of_up` for others with that axis up, `rest` for all else."""
     weights = np.array([table.get(axes, of_up if axes[0] == up else rest) for axes in ORIENTATIONS])
     return weights / weights.sum()
 

@@ -65,9 +65,7 @@ class _Tree:
                 self.kinds[joint] = ""  # a helper beside the limb that goes on below its own parent
 
     def _settle_sides(self, names: Sequence[str]) -> None:
-        """Joints without a side take that of the limb above; a limb whose names disagree takes the side where it
-        stands.
-        """
+        """Joints without a side take that of the limb above; where a limb's names disagree, its position decides."""
         sided = [bool(side) for side in self.sides]
         limb = list(range(len(names)))
         members_of: dict[int, list[int]] = {}

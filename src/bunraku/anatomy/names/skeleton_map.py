@@ -1,6 +1,4 @@
-"""Which joint of a skeleton is which of SMPL's 22: by the words of many conventions first, by structure where names say
-nothing.
-"""
+"""Which joint of a skeleton is which of SMPL's 22: by the words of many conventions, or else by structure."""
 
 from __future__ import annotations
 

@@ -74,9 +74,7 @@ def _off_t_pose(rotations: np.ndarray) -> float:
 
 
 def rest_is_a_pose(skeleton: Skeleton, skeleton_map: SkeletonMap) -> bool:
-    """Whether the rest pose is one that a body can take, its legs down from its trunk, and not all bones along an
-    axis.
-    """
+    """Whether a body can take the rest pose: legs down from the trunk, and not all bones along an axis."""
     positions = skeleton.positions.astype(float)
     up, across = _up(skeleton_map, positions), _across(skeleton_map, positions, ("hip",))
     knees, hips = ([skeleton_map.of(f"{side}_{part}") for side in ("left", "right")] for part in ("knee", "hip"))

@@ -1,6 +1,4 @@
-"""A chain of links that swings, the parameters of each kind of chain, and a file beside the character's that changes
-them.
-"""
+"""A chain of links that swings, the parameters of each kind, and a file beside the character's that changes them."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Inputs of the displacement network for each node: damped oscillators and pendulums that hang on the motion, and a
-lead-in from rest.
-"""
+"""Inputs of the displacement network: oscillators and pendulums that hang on the motion, and a lead-in from rest."""
 
 from __future__ import annotations
 

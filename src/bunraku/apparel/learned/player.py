@@ -1,6 +1,4 @@
-"""Learned apparel, frame by frame: from a pose to the positions of the apparel's vertices, and the safety stage that
-bounds them.
-"""
+"""Learned apparel, frame by frame: from a pose to the apparel's vertices, and the safety stage that bounds them."""
 
 from __future__ import annotations
 

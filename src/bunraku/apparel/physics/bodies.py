@@ -1,6 +1,4 @@
-"""Rigid bodies as MuJoCo takes them: colliders of limbs, shapes and masses, which body hangs on which, and the freedom
-of joints.
-"""
+"""Rigid bodies as MuJoCo takes them: colliders, shapes and masses, which body hangs on which, freedom of joints."""
 
 from __future__ import annotations
 
