@@ -75,10 +75,10 @@ def encode(motion: HandleMotion) -> np.ndarray:
     out[:, 1:3] = np.einsum("nij,nj->ni", back, step)[:, [0, 2]] * motion.fps
     out[0, :3] = out[1, :3] if frames > 1 else 0
     out[:, 3] = motion.root_translation[:, 1]
-    out[:, 4:10] = matrix_to_6d(back @ motion.root_rotation)
+    sixes = matrix_to_6d(np.concatenate([(back @ motion.root_rotation)[:, None], motion.rotations[:, 1:]], axis=1))
+    out[:, 4:10] = sixes[:, 0]
     local = out[:, ROOT_SIZE:].reshape(frames, HANDLE_COUNT - 1, 9)
-    local[..., :3] = motion.translations[:, 1:]
-    local[..., 3:] = matrix_to_6d(motion.rotations[:, 1:])
+    local[..., :3], local[..., 3:] = motion.translations[:, 1:], sixes[:, 1:]
     return out
 
 

@@ -12,7 +12,7 @@ from scipy.sparse import csr_matrix
 from bunraku.core.body.layout import HANDLE_COUNT
 from bunraku.core.geometry.axes import right_angle_rotations
 from bunraku.core.nn.checkpoints import config_of, load_network
-from bunraku.core.nn.layers import Linear, Weights, gelu, mean_and_most, softmax, through
+from bunraku.core.nn.layers import Linear, Weights, gelu, mean_and_most, softmax, through, through_parts
 
 _NEAR = 3  # anchors that each vertex listens to
 
@@ -367,17 +367,13 @@ class OrientationPredictor:
         ]  # fmt: skip
         self._rotations = right_angle_rotations().astype(np.float32)
 
-    def __call__(self, tokens: np.ndarray) -> np.ndarray:
-        """Score of each mesh as it stands, shape (B, M, 10) -> (B,)."""
-        return through(self._layers, tokens)[:, 0]
-
     def probabilities(self, tokens: np.ndarray) -> np.ndarray:
         """How likely each of `geometry.axes.ORIENTATIONS` is the right one, from the mesh and its mirror image, shape
         (M, 10) -> (24,), float64.
         """
         mirror = np.array([-1, 1, 1, -1, 1, 1, 1, 1, 1, 1], np.float32)
         turned = turned_tokens(tokens, self._rotations)
-        scores = np.concatenate([self(part) for part in (*np.split(turned, 4), *np.split(turned * mirror, 4))])
+        scores = through_parts(self._layers, (*np.split(turned, 4), *np.split(turned * mirror, 4)))[:, 0]
         return softmax(scores.astype(np.float64).reshape(2, -1).mean(axis=0) / self.config.temperature)
 
 

@@ -196,6 +196,11 @@ def through(layers: Sequence[Any], x: np.ndarray) -> np.ndarray:
     return x
 
 
+def through_parts(layers: Sequence[Any], parts: Sequence[np.ndarray]) -> np.ndarray:
+    """The same of each part of a batch, one below the other; a part at a time stays in the processor's cache."""
+    return np.concatenate([through(layers, part) for part in parts])
+
+
 def normed(x: np.ndarray, norm: Norm | None = None) -> np.ndarray:
     """Layer norm over the last axis, without scale and shift where no norm is given."""
     out = x - x.mean(-1, keepdims=True)
