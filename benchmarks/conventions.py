@@ -11,6 +11,9 @@ files with a skeleton and a clip; these are compared with the joints of their ow
 | end | how far the end of the path is off, over the length of the path |
 | limbs | mean angle between the upper arms, forearms, thighs and shins and those of the source [degrees] |
 | worst | the same for the limb that is worst |
+
+On 28 November 2026 all twelve ended 0.0 % beside their path, 0.0 degrees off; so did four FBX files and a GLB without a
+mesh. Of one more GLB feet hang on no leg, so that a shin ends beside its foot.
 """
 
 from __future__ import annotations
