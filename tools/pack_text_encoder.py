@@ -34,8 +34,8 @@ POSITIONS = "embeddings.position_embeddings.weight"
 LEFT_OUT = ("pooler.", "embeddings.position_ids")
 SAID = ("vocabulary", "captions", "creature_captions", "lexicon")
 """Whose words are kept exactly, beside those of the captions and of the examples."""
-LEVELS = 55
-"""Steps of a rare piece from zero to its largest number. 55 take 1.4 MB less of a wheel than 127;
+LEVELS = 50
+"""Steps of a rare piece from zero to its largest number. 50 take 1.5 MB less of a wheel than 127;
 `weights/text.md` says what that costs."""
 
 
