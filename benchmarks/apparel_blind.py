@@ -1,14 +1,14 @@
 """Bare meshes that move with and without apparel, side by side in a hidden order, for people to judge.
 
-    python benchmarks/apparel_blind.py ARCHIVE --draw                   the list of meshes, by lot: apparel_blind_3.txt
+    python benchmarks/apparel_blind.py ARCHIVE --draw                   the list of meshes, by lot: apparel_blind_4.txt
     python benchmarks/apparel_blind.py ARCHIVE FOLDER --key KEY         a sheet for each, and which is which
     python benchmarks/apparel_blind.py ARCHIVE --key KEY --answers A B  counts answers
 
-ARCHIVE holds MakeHuman's clothes and hair (`makehuman/`), and the files of the list's third part (`files/`). A sheet
-has two rows of moments for A and two for B: one moves with `--apparel auto`, the other without. Each mesh moves by one
-clip of the library, drawn by lot too. `--use first` and `second` take the lists whose pictures have been looked at
-since, `apparel_blind.txt` and `apparel_blind_2.txt`. Answers are lines "NUMBER A" or "NUMBER B"; "=" stands for no
-difference.
+ARCHIVE holds MakeHuman's clothes and hair (`makehuman/`), and the files of the list (`files/`, the second and third
+word of their rows with `_` between). A sheet has two rows of moments for A and two for B: one moves with `--apparel
+auto`, the other without. Each mesh moves by one clip of the library, drawn by lot too. `--use first`, `second` and
+`third` take the lists whose pictures have been looked at since, `apparel_blind.txt` to `apparel_blind_3.txt`.
+Answers are lines "NUMBER A" or "NUMBER B"; "=" stands for no difference.
 """
 
 from __future__ import annotations
@@ -33,10 +33,9 @@ from bunraku.render.frames import render_animation
 from bunraku.render.pictures import assemble, write_png
 
 FOLDER = Path(__file__).parent
-EACH = 10
-SECONDS, MOMENTS = 4.0, 16
+SECONDS, MOMENTS = 3.0, 10
 MOVING = ("walk & run", "dance", "fight")  # kinds of clips of which apparel feels something
-SIZE = (250, 320)
+SIZE = (190, 250)
 WORDS = ("skirt", "gown", "cape", "ears", "tail", "dress", "hair", "ponytail", "braid", "bob")
 SEEN = (  # meshes of public repositories that wear a skirt, a cape, long hair, ears or a tail: looked at at rest alone
     "BabylonJS/SummerFestival 4731f69e player.glb", "Norsninja/siege_bakery 1ad76d4a cloudgiant.glb",
@@ -81,12 +80,35 @@ THIRD = (  # what wears such of 158 other files that were looked at at rest, and
     "mmdagent/mmdagent-mirror 1b21e6fc mei.pmd",
     "m2wasabi/jThree-Azure-StarterDemo ba9f48b1 index.pmx",
 )  # fmt: skip
-LISTS = {
-    "first": ("apparel_blind.txt", 2830, 830_000, SEEN),
-    "second": ("apparel_blind_2.txt", 2831, 880_000, FRESH),
-    "third": ("apparel_blind_3.txt", 2832, 890_000, THIRD),
+PEOPLE = (  # every file of `walks_57.md` that stands on two legs, whatever it wears
+    "gunpowderstudios/BOD3D-TEST 01 gunpowde_reacher.glb", "srue1834/proyecto_graficas1 02 srue1834_chica.obj",
+    "gunpowderstudios/BOD3D-TEST 07 gunpowde_rill.glb", "gunpowderstudios/BOD3D-TEST 12 gunpowde_monk.glb",
+    "ColtonG95/bronzevale-server 14 ColtonG9_goblin.glb", "srue1834/proyecto_graficas1 15 srue1834_zombie.obj",
+    "letier3110/mathpunk-tower-def 16 letier31_goblin.glb", "edgora-ai/zhandi3 21 edgora-a_skeleton.glb",
+    "chairielazizi/threejs_portfolio 22 chairiel_developer.glb", "edgora-ai/zhandi3 23 edgora-a_pilot_npc.glb",
+    "edcorzacal/flutter_ar_animals 24 edcorzac_character.glb", "edgora-ai/zhandi3 25 edgora-a_soldier.glb",
+    "chairielazizi/threejs_portfolio 26 chairiel_ninja_idle.fbx",
+    "chairielazizi/threejs_portfolio 27 chairiel_ImageToStl.com_avatar.fbx",
+    "luosijie/loong-year-2024 28 luosijie_player.glb", "F-Aug-exe/Esc-y-Ser 29 F-Aug-ex_character.glb",
+    "MrDracs/avatarchat3Dwidget 30 MrDracs_girl.glb", "MrDracs/avatarchat3Dwidget 31 MrDracs_rpm.fbx",
+    "ronrob-lu/mobs_npc_monster 32 ronrob-l_character-a.glb", "edgora-ai/zhandi3 44 edgora-a_wizzrobe.glb",
+)  # fmt: skip
+STRIPPED = (  # every avatar of `walks_57.md` that wears something, whose rig is thrown away
+    "nanSer0/VRMs 48 nanSer0_model-01_V-01.vrm", "tousei-seiso/mmd-viewer1 49 tousei-s_nadesico.pmx",
+    "nanSer0/VRMs 51 nanSer0_model-01G.vrm", "NekoYoAE/seia.top 52 NekoYoAE_model.pmx",
+    "DenebUniverse/mmd-avatar-web-viewer 54 DenebUni_hiying.pmx",
+    "tousei-seiso/mmd-viewer1 55 tousei-s_natsuyuki_eve_v2.0.pmx",
+    "noname0310/web-mmd-viewer 56 noname03_yyb_hatsune_miku_10th_v1.02.pmx", "edvakf/MMD.js 57 edvakf_KAITO.pmd",
+)  # fmt: skip
+LISTS: dict[str, tuple[str, int, int, int, tuple[tuple[int, tuple[str, ...]], ...]]] = {
+    "first": ("apparel_blind.txt", 2830, 830_000, 10, ((10, SEEN),)),
+    "second": ("apparel_blind_2.txt", 2831, 880_000, 10, ((10, FRESH),)),
+    "third": ("apparel_blind_3.txt", 2832, 890_000, 10, ((10, THIRD),)),
+    "fourth": ("apparel_blind_4.txt", 2833, 920_000, 8, ((12, PEOPLE), (8, STRIPPED))),
 }
-"""Name of each list, what its lot is drawn by, its first seed, and its files."""
+"""Name of each list, what its lot is drawn by, its first seed, how many of the wardrobe and of MakeHuman there are, and
+how many of which files.
+"""
 
 
 def draw(archive: Path, use: str) -> None:
@@ -94,16 +116,17 @@ def draw(archive: Path, use: str) -> None:
     from bunraku_lab.synthetic.dressed.people import dressed_person
     from bunraku_lab.synthetic.wardrobe.character import open_closet
 
-    name, lot, first, pool = LISTS[use]
+    name, lot, first, each, pools = LISTS[use]
     rng = np.random.default_rng(lot)
-    rows = [("wardrobe", str(first + number)) for number in range(EACH)]
+    rows = [("wardrobe", str(first + number)) for number in range(each)]
     seed, clothes = first, open_closet(str(archive / "makehuman"))
-    while len(rows) < 2 * EACH:
+    while len(rows) < 2 * each:
         outfit = dressed_person(clothes, seed).outfit
         if any(word in outfit for word in WORDS):
             rows.append(("makehuman", str(seed)))
         seed += 1
-    rows += [("file", pool[number]) for number in sorted(rng.choice(len(pool), EACH, replace=False))]
+    for many, pool in pools:
+        rows += [("file", pool[number]) for number in sorted(rng.choice(len(pool), many, replace=False))]
     known = sorted(one.name for one in all_clips() if one.tags[0] in MOVING and (one.loops or one.seconds >= SECONDS))
     clips = [known[number] for number in rng.choice(len(known), len(rows), replace=False)]
     lines = ["\t".join((kind, what, moves)) for (kind, what), moves in zip(rows, clips, strict=True)]
@@ -146,7 +169,7 @@ def main() -> None:
     parser.add_argument("--key", type=Path)
     parser.add_argument("--answers", type=Path, nargs="+")
     parser.add_argument("--draw", action="store_true")
-    parser.add_argument("--use", choices=tuple(LISTS), default="third")
+    parser.add_argument("--use", choices=tuple(LISTS), default="fourth")
     asked = parser.parse_args()
     if asked.draw:
         draw(asked.archive, asked.use)
@@ -156,17 +179,19 @@ def main() -> None:
         count(rows, json.loads(asked.key.read_text()), asked.answers)
         return
     order = np.random.default_rng(time.time_ns()).permutation(len(rows) * 2) % 2
-    numbers = np.random.default_rng(time.time_ns()).permutation(len(rows))
+    numbers = np.random.default_rng(LISTS[asked.use][1]).permutation(len(rows))
     asked.folder.mkdir(parents=True, exist_ok=True)
-    key = {}
+    key = json.loads(asked.key.read_text()) if asked.key.is_file() else {}
     for place, row in enumerate(numbers):
+        if str(place + 1) in key:
+            continue  # of a run that was interrupted
         kind, what, name = rows[row]
         mesh = bare(kind, what, asked.archive)
         motion = clip(name).motion(SECONDS)
         moved = transfer(mesh, motion, handles=rig(mesh))
         first = bool(order[place])
         worn = dressed(moved, "auto")
-        key[place + 1] = {"row": int(row), "with": "A" if first else "B", "alike": worn is moved}
+        key[str(place + 1)] = {"row": int(row), "with": "A" if first else "B", "alike": worn is moved}
         write_png(sheet(worn, moved.at(30.0), first), asked.folder / f"{place + 1:02d}.png")
         asked.key.write_text(json.dumps(key, indent=1))
         print(place + 1, "alike" if worn is moved else "", flush=True)

@@ -15,6 +15,7 @@ export function parseWorn(data: ArrayBuffer): Worn {
   const header = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 8, length))) as {
     vertices: number;
     parts: { mesh: number; primitive: number; rows: number }[];
+    numbered?: boolean;
   };
   let at = 8 + length;
   const bits = new Uint8Array(data, at, bytesOf(header.vertices));
@@ -25,7 +26,7 @@ export function parseWorn(data: ArrayBuffer): Worn {
     rows.set(`${part.mesh}:${part.primitive}`, new Uint32Array(data, at, part.rows));
     at += part.rows * 4;
   }
-  return { mask, rows };
+  return header.numbered ? { mask, rows, numbers: new Uint16Array(data, at, header.vertices) } : { mask, rows };
 }
 
 const bytesOf = (count: number): number => 4 * Math.ceil(count / 32);
@@ -132,6 +133,14 @@ export class Surface {
       }
     }
     return found < 0 ? null : { point: direction.clone().multiplyScalar(nearest).add(origin), triangle: found };
+  }
+
+  /** The vertex of the character nearest to where the surface was met. */
+  vertex({ point, triangle }: Hit): number {
+    const far = (row: number): number =>
+      Math.hypot(...[point.x, point.y, point.z].map((value, axis) => (this.places[row * 3 + axis] ?? 0) - value));
+    const rows = [0, 1, 2].map((one) => this.triangles[triangle + one] ?? 0);
+    return this.vertices[rows.reduce((one, other) => (far(one) < far(other) ? one : other))] ?? 0;
   }
 
   /** The vertices of the character within a radius [m] of where the surface was met, along it. */

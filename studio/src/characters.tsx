@@ -6,27 +6,16 @@ import { deleteCharacter, openAsMotion, repair, sample, select } from "./actions
 import { Apparel } from "./apparel";
 import { bytes } from "./api";
 import { Correct } from "./correct";
+import { Legend, Parts } from "./parts";
 import { about, attempt, change, character, characters, colouring, correcting, doc, running, weightOf } from "./state";
 import { Thumbs } from "./thumbs";
-import { kindColour } from "./skeleton";
 import type { Character } from "./types";
 
 /** Which chains there are, in the colours that they are shown in. */
 function Kinds({ one }: { one: Character }) {
   const counts = new Map<string, number>();
   one.chains?.forEach((chain) => counts.set(chain.kind, (counts.get(chain.kind) ?? 0) + 1));
-  return (
-    <ul class="kinds">
-      {[...counts].map(([kind, count]) => (
-        <li key={kind}>
-          <svg width="10" height="10" aria-hidden="true">
-            <circle cx="5" cy="5" r="5" fill={`#${kindColour(kind).getHexString()}`} />
-          </svg>{" "}
-          {count} {kind}
-        </li>
-      ))}
-    </ul>
-  );
+  return <Legend counts={new Map([...counts].map(([kind, count]) => [kind, String(count)]))} />;
 }
 
 const UNITS: Record<string, string> = { m: "metres", cm: "centimetres", mm: "millimetres", in: "inches" };
@@ -227,6 +216,7 @@ export function Characters() {
                   <option value="handles">handles in colour</option>
                   <option value="weights">weights of one handle</option>
                   <option value="skeleton">skeleton</option>
+                  {Boolean(now.dress?.length) && <option value="parts">parts in colour</option>}
                   {Boolean(now.chains?.length) && <option value="chains">chains of hair and clothes</option>}
                 </select>
               </label>
@@ -259,7 +249,8 @@ export function Characters() {
             )}
             <Correct one={now} />
             <Apparel one={now} />
-            {colouring.value === "chains" && <Kinds one={now} />}
+            {colouring.value === "chains" && !correcting.value && <Kinds one={now} />}
+            {colouring.value === "parts" && !correcting.value && <Parts one={now} />}
             <p class="hint">
               <button class="link" onClick={() => motion.current?.click()}>
                 take the motion of a GLB or FBX…

@@ -3,6 +3,7 @@
 import { Color, MeshBasicMaterial, Vector3 } from "three";
 import { stream } from "./live";
 import { pose } from "./model";
+import { numbered } from "./parts";
 import { EMPTY } from "./schema";
 import { viewer } from "./stage";
 import {
@@ -74,6 +75,7 @@ Object.assign(window, {
     character,
     takes: ownTakes,
     notice,
+    numbered,
     online,
     playing,
     time,

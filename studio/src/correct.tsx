@@ -3,18 +3,16 @@
 import { signal } from "@preact/signals";
 import { generate } from "./actions";
 import { send } from "./api";
+import { KINDS, Parts, picked, Swatch, touched } from "./parts";
 import { attempt, character, characters, correcting, ended, remember } from "./state";
 import type { Body, Character, Said, Vec3 } from "./types";
 
-const KINDS = ["body", "arm", "leg", "head", "tail", "wing", "hair", "skirt", "cape", "sleeve", "accessory", "prop", "ground"];
 const MOST = 12; // parts that are listed
 
 /** What is shown before the studio has answered, of a version of the character. */
 const moved = signal<{ version: number; joints: Record<string, Vec3> } | null>(null);
 const alike = signal(true);
 const chosen = signal("");
-/** The part whose row is pointed at. */
-export const touched = signal<Vec3 | null>(null);
 let changed = false; // something was corrected since it was begun
 
 /** The joints as they are shown. */
@@ -58,6 +56,15 @@ export async function moveJoint(name: string, point: Vec3): Promise<void> {
   const joints: Record<string, Vec3> = { [name]: point, ...(both ? { [other]: [-point[0], point[1], point[2]] as Vec3 } : {}) };
   moved.value = { version: one.version, joints };
   await correct("move a joint", { ...said, joints: { ...said.joints, ...joints } });
+}
+
+/** What is at a point is of a kind. */
+export function sayKind(at: Vec3, kind: string): void {
+  const said = character.value?.body?.said;
+  if (said) {
+    const rest = said.part.filter((each) => String(each.at) !== String([at]));
+    void correct("say what a part is", { ...said, part: [...rest, { kind, at: [at] }] });
+  }
 }
 
 export const plain = (name: string): string => name.replaceAll("_", " ");
@@ -107,7 +114,8 @@ export function Correct({ one }: { one: Character }) {
   const free = one.state === "ready";
   const joints = jointsOf(one);
   const shown = joints.find((joint) => joint.name === chosen.value) ?? joints[0];
-  const parts = [...body.parts, ...(one.dress ?? [])].slice(0, MOST);
+  const dress = one.dress ?? [];
+  const parts = [...body.parts, ...dress].slice(0, MOST);
   const spoken = Object.keys(body.said.joints).length + body.said.part.length > 0;
   return (
     <fieldset class="painting">
@@ -115,6 +123,7 @@ export function Correct({ one }: { one: Character }) {
       <label class="toggle">
         <input type="checkbox" checked={alike.value} onChange={(event) => (alike.value = event.currentTarget.checked)} /> left and right alike
       </label>
+      <Parts one={one} />
       <label class="field">
         <span>joint</span>
         <select id="joint" value={shown?.name} onChange={(event) => (chosen.value = event.currentTarget.value)}>
@@ -130,21 +139,18 @@ export function Correct({ one }: { one: Character }) {
         <label
           class="field small"
           key={number}
-          onPointerEnter={() => (touched.value = part.at)}
+          onPointerEnter={() => (touched.value = part)}
           onPointerLeave={() => (touched.value = null)}
-          onFocusIn={() => (touched.value = part.at)}
+          onFocusIn={() => (touched.value = part)}
           onFocusOut={() => (touched.value = null)}
         >
           <span>
-            part {number + 1}, {Math.max(1, Math.round(100 * part.area))} %
+            {dress.includes(part) && <Swatch kind={part.kind} />} part {number + 1}, {Math.max(1, Math.round(100 * part.area))} %
           </span>
           <select
             value={part.kind}
             disabled={!free}
-            onChange={(event) => {
-              const rest = body.said.part.filter((each) => String(each.at) !== String([part.at]));
-              void correct("say what a part is", { ...body.said, part: [...rest, { kind: event.currentTarget.value, at: [part.at] }] });
-            }}
+            onChange={(event) => sayKind(part.at, event.currentTarget.value)}
           >
             {[...new Set([...KINDS, part.kind])].map((kind) => (
               <option key={kind}>{kind}</option>
@@ -167,7 +173,7 @@ export function Correct({ one }: { one: Character }) {
 /** Show it in motion again; what was corrected shows in a take that is made anew. */
 export async function endCorrecting(): Promise<void> {
   correcting.value = false;
-  touched.value = null;
+  touched.value = picked.value = null;
   if (changed && characters.value.some((one) => one.id === character.value?.id && one.state === "ready")) {
     changed = false;
     await generate();

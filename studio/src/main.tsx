@@ -14,6 +14,7 @@ import { DRAGGED, Library } from "./library";
 import { Modal } from "./modal";
 import { Characters } from "./characters";
 import { endCorrecting } from "./correct";
+import { picked } from "./parts";
 import { begin, living } from "./live";
 import { LiveBar, liveKey } from "./lively";
 import { endPainting } from "./painting";
@@ -70,7 +71,7 @@ function keys(event: KeyboardEvent): void {
     Escape: () => ((drawing.value = false), (notice.value = null), (sheet.value = "")),
   };
   if (correcting.value) {
-    actions["Escape"] = () => void endCorrecting();
+    actions["Escape"] = () => (picked.value ? (picked.value = null) : void endCorrecting());
   }
   if (painting.value) {
     Object.assign(actions, { x: dab, Escape: endPainting });
@@ -307,7 +308,7 @@ function App() {
               </p>
             )}
             {character.value?.state === "opening" && !correcting.value && <p class="badge" role="status">finding the handles of {character.value.name}…{warm.value ? "" : " the networks are being loaded, once"}</p>}
-            {correcting.value && <p class="badge">drag a joint to where it belongs; drag beside the character to turn it</p>}
+            {correcting.value && <p class="badge">drag a joint to where it belongs; click a part to say what it is; drag beside the character to turn it</p>}
             {painting.value && <p class="badge">drag over hair and clothes; drag beside the character to turn it</p>}
             {drawing.value && <p class="badge">drag on the floor where it goes, or type its points below; the sentence says how</p>}
             <Legend />

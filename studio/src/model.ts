@@ -18,7 +18,6 @@ import { GLTFLoader } from "three/examples/jsm/loaders/GLTFLoader.js";
 import { between, poseBones, type Clip } from "./clip";
 import { copiesOf, smooth } from "./smooth";
 import { Springs, type SpringDocument } from "./springs";
-import type { Worn } from "./types";
 
 export interface Model {
   key: string;
@@ -100,20 +99,25 @@ edged(painted);
 
 const glass = new MeshStandardMaterial({ color: 0x9aa3ad, transparent: true, opacity: 0.22, depthWrite: false, side: 2 });
 
-export type Colouring = "none" | "handles" | "weights" | "skeleton" | "chains" | "mask";
-const BARE = new Color(0xb9b4ac);
-const WORN = new Color(0xd9622b);
+export type Colouring = "none" | "handles" | "weights" | "skeleton" | "chains" | "parts";
 
-/** Show the character as it is, each vertex in the colours of its handles, how far one handle moves it, what of it is hair
- * and clothes, or its skeleton or chains through it. */
-export function colour(model: Model, way: Colouring, handle: number, worn: Worn | null = null): void {
+/** A colour for each vertex of the character, and which of them the rows of primitives are. */
+export interface Tint {
+  rows: Map<string, Uint32Array>;
+  of: (vertex: number) => Color;
+}
+
+/** Show the character as it is, each vertex in a colour of its own, in those of its handles, how far one handle moves it, or
+ * its skeleton or chains through it. */
+export function colour(model: Model, shown: Colouring, handle: number, tint: Tint | null = null): void {
+  const way = tint ? "parts" : shown === "parts" ? "none" : shown; // until the parts are there
   const through = way === "skeleton" || way === "chains";
   for (const skin of model.skins) {
     if (way === "none" || through) {
       skin.material = through ? glass : (model.plain.get(skin) ?? painted);
       continue;
     }
-    const rows = worn?.rows.get(model.primitives.get(skin) ?? "");
+    const rows = tint?.rows.get(model.primitives.get(skin) ?? "");
     const geometry = model.bare.get(skin) ?? skin.geometry;
     const joints = geometry.getAttribute("skinIndex");
     const weights = geometry.getAttribute("skinWeight");
@@ -122,8 +126,8 @@ export function colour(model: Model, way: Colouring, handle: number, worn: Worn 
     const copies = copiesOf(geometry);
     const first = joints.count - copies.length;
     for (let vertex = 0; vertex < joints.count; vertex += 1) {
-      if (way === "mask") {
-        (worn?.mask[rows?.[vertex < first ? vertex : (copies[vertex - first] ?? 0)] ?? -1] ? WORN : BARE).toArray(colours, vertex * 3);
+      if (tint) {
+        tint.of(rows?.[vertex < first ? vertex : (copies[vertex - first] ?? 0)] ?? -1).toArray(colours, vertex * 3);
         continue;
       }
       mixed.setRGB(0, 0, 0);

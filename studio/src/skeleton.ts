@@ -27,8 +27,15 @@ export function skeletonOf(one: Character, skin: "handles" | "bones", bones: rea
 }
 
 const KINDS = ["hair", "skirt", "cape", "sleeve", "tail", "ear", "ribbon", "strand"];
+/** Parts that never swing have the hues of chains that no part is called after. */
+const STILL: Record<string, string> = { prop: "ear", accessory: "ribbon", ground: "strand" };
+/** What is neither hair nor clothes. */
+export const BARE = new Color(0xb9b4ac);
 
-export const kindColour = (kind: string): Color => new Color().setHSL(((Math.max(KINDS.indexOf(kind), 0) * 137.508) % 360) / 360, 0.75, 0.45);
+export function kindColour(kind: string): Color {
+  const number = KINDS.indexOf(STILL[kind] ?? kind);
+  return number < 0 ? BARE : new Color().setHSL(((number * 137.508) % 360) / 360, 0.75, 0.45);
+}
 
 /** A chain as it is drawn: the bones that it is made of, where the model has them, and how it lies at rest. */
 export interface Strand {

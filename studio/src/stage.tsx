@@ -2,24 +2,28 @@
 
 import { effect } from "@preact/signals";
 import { useEffect, useRef } from "preact/hooks";
+import { Color } from "three";
 import { bend, choose } from "./actions";
 import { bytes } from "./api";
 import { parseClip, type Clip } from "./clip";
-import { jointsOf, moveJoint, touched } from "./correct";
-import { colour, dispose, forget, handleColour, loadModel, type Model } from "./model";
+import { jointsOf, moveJoint, sayKind } from "./correct";
+import { colour, dispose, forget, handleColour, loadModel, type Model, type Tint } from "./model";
+import { numbered, pick, Picked, picked, tintOf, touched } from "./parts";
 import {
   about, attempt, change, character, characters, colouring, comparing, correcting, doc, drawing, follow, ownTakes, painting, playing, running, speed,
   take, takes, time, warm, weightOf,
 } from "./state";
 import { finish, living, stream } from "./live";
 import { lift, touch, worn } from "./painting";
-import { skeletonOf, strandsOf } from "./skeleton";
+import { BARE, skeletonOf, strandsOf } from "./skeleton";
 import type { Character, Take } from "./types";
 import { Thumbs } from "./thumbs";
 import { Viewer, type Pane } from "./viewer";
 
 export let viewer: Viewer | null = null;
 
+/** What is painted as hair and clothes. */
+const WORN = new Color(0xd9622b);
 const models = new Map<string, Promise<Model>>();
 const clips = new Map<string, Promise<Clip>>();
 const KEPT = 24;
@@ -168,9 +172,12 @@ async function photograph(owner: Character, shown: Clip | null): Promise<void> {
 const lively = (): boolean => doc.value.live && Boolean(character.value?.chains?.length) && !comparing.value;
 
 function paint(): void {
-  const mask = painting.value && worn.value?.owner === character.value?.id ? (worn.value?.worn ?? null) : null;
+  const owner = character.value;
+  const mask = painting.value && worn.value?.owner === owner?.id ? worn.value?.worn : null;
+  const seen = owner && (correcting.value || colouring.value === "parts") ? tintOf(owner) : null;
+  const tint: Tint | null = mask ? { rows: mask.rows, of: (vertex) => (mask.mask[vertex] ? WORN : BARE) } : seen;
   for (const pane of new Set(viewer?.panes.map((each) => each.model) ?? [])) {
-    colour(pane, mask ? "mask" : colouring.value, weightOf.value, mask);
+    colour(pane, colouring.value, weightOf.value, tint);
     if (pane.springs) {
       Object.assign(pane.springs, { stiffness: doc.value.stiffness, gravity: doc.value.gravity });
     }
@@ -210,7 +217,7 @@ export function Stage({ children }: { children?: preact.ComponentChildren }) {
         void refresh();
       }),
       effect(() => {
-        void [colouring.value, weightOf.value, painting.value, worn.value, doc.value.stiffness, doc.value.gravity];
+        void [colouring.value, weightOf.value, correcting.value, numbered.value, touched.value, picked.value, character.value, painting.value, worn.value, doc.value.stiffness, doc.value.gravity];
         paint();
       }),
       effect(() => {
@@ -221,7 +228,7 @@ export function Stage({ children }: { children?: preact.ComponentChildren }) {
           skeleton: colouring.value === "skeleton" && owner ? skeletonOf(owner, one?.skin ?? "handles", shownModel?.bones ?? []) : [],
           chains: colouring.value === "chains" && owner && one?.skin !== "bones" ? strandsOf(owner, shownModel?.bones.length ?? 0) : [],
           joints: correcting.value && owner ? jointsOf(owner) : [],
-          piece: correcting.value ? touched.value : null,
+          piece: correcting.value ? (touched.value?.at ?? null) : null,
           ends: owner?.ends ?? [],
           pins: doc.value.pins,
           path: living.value || correcting.value ? [] : doc.value.path,
@@ -237,6 +244,7 @@ export function Stage({ children }: { children?: preact.ComponentChildren }) {
         view.live = lively();
         view.paint = painting.value ? (ray) => Boolean(view.panes[0] && touch(view.panes[0].model, ray, view.extent)) : null;
         view.told = living.value ? (look, reach) => stream?.point(look, reach) : null;
+        view.pick = correcting.value ? (ray, left, top) => view.panes[0] && pick(view.panes[0].model, ray, left, top) : null;
         view.placed = correcting.value ? (name, point) => void moveJoint(name, point) : null;
         view.directing = !living.value && !correcting.value && !painting.value && !playing.value && one?.state === "done" && one.skin !== "bones" && !comparing.value;
         view.drawing = drawing.value;
@@ -284,6 +292,7 @@ export function Stage({ children }: { children?: preact.ComponentChildren }) {
   return (
     <div class="stage" ref={place}>
       {children}
+      <Picked say={sayKind} />
       <Labels />
     </div>
   );

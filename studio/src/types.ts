@@ -228,4 +228,6 @@ export interface Worn {
   mask: Uint8Array;
   /** Which of them each row of a primitive is, by mesh and primitive: "0:1". */
   rows: Map<string, Uint32Array>;
+  /** The part of each vertex, from 1 on in the order of the record's `dress`; 0 is the body. */
+  numbers?: Uint16Array;
 }

@@ -67,6 +67,7 @@ const GRIPPED = 0.16;
 const REACHED = 0.6;
 const LOOKED = 1.2;
 const HELD = 0.25;
+const CLICKED = 4; // pixels that the pointer moves in a click
 const HOME = 0.12; // [s] in which what was dragged aside goes back by a factor of e
 
 export class Viewer {
@@ -82,6 +83,9 @@ export class Viewer {
   dragged: ((part: string, place: [number, number, number]) => void) | null = null;
   /** Hears which joint was moved where. */
   placed: ((name: string, place: Vec3) => void) | null = null;
+  /** Hears where a click that moved nothing goes, and where on the view it was [pixels]. */
+  pick: ((ray: Ray, left: number, top: number) => void) | null = null;
+  private pressed: [number, number] | null = null;
   drew: ((path: [number, number][]) => void) | null = null;
   chosen: ((pane: number) => void) | null = null;
   /** Hears where the pointer is, before the character, and where it is pressed. */
@@ -480,6 +484,7 @@ export class Viewer {
     if (event.button !== 0) {
       return;
     }
+    this.pressed = [event.clientX, event.clientY];
     if (this.panes.length > 1) {
       const box = this.canvas.getBoundingClientRect();
       const columns = this.panes.length > 3 ? 2 : this.panes.length;
@@ -600,6 +605,13 @@ export class Viewer {
   }
 
   private up(event: PointerEvent): void {
+    const [x, y] = this.pressed ?? [Infinity, Infinity];
+    if (this.pick && !this.held && Math.hypot(event.clientX - x, event.clientY - y) < CLICKED) {
+      this.aim(event);
+      const box = this.canvas.getBoundingClientRect();
+      this.pick(this.ray.ray, event.clientX - box.left, event.clientY - box.top);
+    }
+    this.pressed = null;
     if (this.reaching) {
       this.reaching = false;
       this.move(event);

@@ -45,6 +45,12 @@ it("paints the sheet that it meets, across seams, and not the one behind it", ()
   expect(surface.hit(new Vector3(2, 0.5, 1), new Vector3(0, 0, -1))).toBeNull();
 });
 
+it("says of which part a vertex is", () => {
+  const header = new TextEncoder().encode('{"vertices":2,"parts":[],"numbered":true}   ');
+  const data = new Uint8Array([66, 78, 82, 77, header.length, 0, 0, 0, ...header, 0, 0, 0, 0, 0, 0, 44, 1]);
+  expect([...(parseWorn(data.buffer).numbers ?? [])]).toEqual([0, 300]);
+});
+
 it("packs a mask as the server reads it", () => {
   const mask = Uint8Array.from([1, 0, 0, 0, 0, 0, 0, 0, 0, 1, 1]);
   expect([...packMask(mask)]).toEqual([1, 6, 0, 0]);

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from bunraku.apparel.chains.body_collisions import PushOutOfBody, SkirtsOverLegs
-from bunraku.apparel.chains.chain import Chain, parameters_of_laid
+from bunraku.apparel.chains.chain import Chain, LaidShape, parameters_of_laid
 from bunraku.apparel.chains.chain_rig import Chained, with_chains
 from bunraku.apparel.chains.cloth_repairs import DressedChains, MendTears, SmoothNeighbours, on_skin
 from bunraku.apparel.chains.from_shape import shape_chains
@@ -58,7 +58,7 @@ def dressed():
     )  # fmt: skip
     chain = Chain(
         "skirt_0_0", "skirt", JOINT_COUNT + np.arange(2), line, 0, np.full(2, 0.06), 0.01,
-        parameters_of_laid("skirt", 0.4),
+        parameters_of_laid("skirt", LaidShape(0.4, np.inf, 0.03, 0.9)),
     )  # fmt: skip
     return clothed, Character("dressed", rest, faces, rig), chain, bare
 
@@ -198,7 +198,7 @@ def skirt():
     chains = [
         Chain(
             name, "skirt", np.array([column + 1]), np.stack([0.2 * way + [0, 1, 0], 0.3 * way + [0, 0.5, 0]]), 0,
-            np.full(1, 0.05), 0.01, parameters_of_laid("skirt", 0.5),
+            np.full(1, 0.05), 0.01, parameters_of_laid("skirt", LaidShape(0.5, np.inf, 0.03, 0.9)),
         )
         for column, (name, way) in enumerate(zip(names[1:], out, strict=True))
     ]  # fmt: skip

@@ -9,8 +9,23 @@ from scipy.spatial.transform import Rotation
 
 from bunraku import load_character, save_character, transfer, with_skeleton
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.apparel.chains.avatars import between_frames, fitted_springs, link_turns, mmd_avatar, vrm_avatar, vrm_steps
-from bunraku.apparel.chains.chain import Chain, parameters_beside, parameters_of, with_parameters, write_parameters
+from bunraku.apparel.chains.avatars import (
+    between_frames,
+    fitted_springs,
+    link_turns,
+    mmd_avatar,
+    vrm_avatar,
+    vrm_steps,
+)
+from bunraku.apparel.chains.chain import (
+    Chain,
+    LaidShape,
+    parameters_beside,
+    parameters_of,
+    parameters_of_laid,
+    with_parameters,
+    write_parameters,
+)
 from bunraku.apparel.chains.chain_rig import Chained, LaidChains, chain_rig, with_chains
 from bunraku.apparel.chains.from_bones import apparel_bones, bone_chains
 from bunraku.apparel.chains.from_shape import part_kinds, shape_chains, with_parts_from_file
@@ -339,6 +354,16 @@ def test_a_part_is_as_stiff_as_its_kind_is_told(clothed) -> None:
     others = ~np.isin(kinds, [kind, ""])
     np.testing.assert_allclose(told.stiffness[others], guessed.stiffness[others], atol=0.5)
     assert told.swing is None
+
+
+def test_what_hangs_freely_swings_wider_than_what_lies_on_the_body_or_stands() -> None:
+    """A ponytail beside a bob of the same length, and hair that stands: also once it is laid over a mesh."""
+    free, bob, stands = LaidShape(0.4, 5.0, 0.1, 1.0), LaidShape(0.4, 5.0, 0.005, 1.0), LaidShape(0.4, 5.0, 0.1, -1.0)
+    tail, others = parameters_of_laid("hair", free), [parameters_of_laid("hair", one) for one in (bob, stands)]
+    assert all(tail.limit > 1.9 * one.limit and tail.stiffness < one.stiffness for one in others)
+    assert others[1].gravity == 0  # its weight does not bend what stands
+    short = parameters_of_laid("hair", replace(free, length=0.05))
+    assert short.limit < 0.5 * tail.limit
 
 
 def test_vertices_of_a_file_swing_as_far_as_the_links_of_their_chain(clothed) -> None:

@@ -9,6 +9,8 @@ from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.apparel.fitting import fitted_clothes
 from bunraku.apparel.layers import Layers
 from bunraku.apparel.nodes import whole_pieces
+from bunraku.apparel.part_network import PARTS
+from bunraku.apparel.parts import Parts
 from bunraku.core.body.layout import JOINT_COUNT, JOINT_NAMES
 from bunraku.core.body.reference import reference_body
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
@@ -25,8 +27,8 @@ def tube(radius, low, high, around=24, rings=12):
     return points, np.concatenate([quads[:, :3], quads[:, [0, 2, 3]]])
 
 
-def worn(joint, *radii):
-    """A trunk that one joint moves, and skirts that hang from it."""
+def worn(joint, kind, *radii):
+    """A trunk that one joint moves, and parts of a kind that hang from it."""
     tubes = [tube(0.1, 0.9, 1.6), *(tube(radius, 0.4, 0.9) for radius in radii)]
     count = len(tubes[0][0])
     vertices = np.concatenate([points for points, _ in tubes]).astype(np.float32)
@@ -34,20 +36,22 @@ def worn(joint, *radii):
     weights = np.zeros((len(vertices), 22), np.float32)
     weights[:, JOINT_NAMES.index(joint)] = 1
     joints = np.array(reference_body().joints[:22], np.float32)
-    return fitted_clothes(vertices, faces, joints, weights, np.arange(len(vertices)) >= count)
+    hangs = np.arange(len(vertices)) >= count
+    number = np.arange(len(vertices)) // count - 1
+    carrier = "pelvis" if joint == "pelvis" else "chest"
+    parts = Parts(PARTS.index(kind) * hangs, number, hangs, (kind,) * len(radii), (carrier,) * len(radii))
+    return fitted_clothes(vertices, faces, joints, weights, hangs, parts)
 
 
 @pytest.mark.parametrize(
-    ("joint", "radii", "parts"),
+    ("joint", "kind", "radii", "parts"),
     [
-        ("pelvis", (0.12, 0.14), 1),  # two layers of a skirt
-        ("pelvis", (0.12, 0.14, 0.16), 1),
-        ("pelvis", (0.12, 0.22), 2),
-        ("spine3", (0.12, 0.14), 2),  # what hangs from elsewhere stays apart, as locks of hair do
+        ("pelvis", "skirt", (0.12, 0.14, 0.18), 1),  # layers of a skirt
+        ("spine3", "cape", (0.12, 0.14), 2),  # what is no skirt stays apart, as locks of hair do
     ],
 )
-def test_layers_of_a_skirt_are_one_part(joint, radii, parts):
-    clothed = worn(joint, *radii)
+def test_layers_of_a_skirt_are_one_part(joint, kind, radii, parts):
+    clothed = worn(joint, kind, *radii)
     assert set(np.unique(clothed.part)) == {-1, *range(parts)}
     assert len(clothed.stiffness) == len(clothed.damping) == parts
     assert (clothed.weights[clothed.part >= 0].argmax(axis=1) == JOINT_NAMES.index(joint)).all()

@@ -20,6 +20,8 @@ from bunraku.core.body.reference import handle_positions, reference_body
 from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.surface import vertex_areas
 from bunraku.core.motion import HandleMotion, SkeletalMotion
+from bunraku.files import load_character, save_character
+from bunraku.retarget.engine_skeleton import on_skeleton
 from bunraku.retarget.fit import STAGES, Stages, fit_motion, running
 from bunraku.retarget.stages.stage import Fitting
 from bunraku.retarget.to_reference import handle_motion_of_body, motion_to_reference
@@ -99,6 +101,17 @@ def test_an_a_pose_ends_in_the_same_pose_as_a_t_pose():
     near = np.linalg.norm(with_stage[hands] - want[hands], axis=1).mean() / character.height
     far = np.linalg.norm(without[hands] - want[hands], axis=1).mean() / character.height
     assert near < 0.06 < 0.2 < far
+
+
+@pytest.mark.parametrize(("axes", "degrees"), [("z", [-80]), ("y", [-70]), ("zy", [-40, -60])])
+def test_a_vrm_is_written_of_a_body_that_stands_in_no_t_pose(axes, degrees, tmp_path):
+    """Arms that hang, reach forward, or are held aside with bent elbows: its T-pose has them along the x axis."""
+    turned = Rotation.from_euler(axes, degrees, degrees=True).as_matrix().reshape(3, 3)
+    joints = ("left_shoulder", "right_shoulder", "left_elbow", "right_elbow")
+    shown = on_skeleton(Anatomy.of(*rigid_pose(reference_body(), joints, turned)), "vrm")
+    read = load_character(save_character(shown, tmp_path / "a.vrm", rig=True)).rig
+    arm = np.subtract(*(read.positions[read.names.index(name)] for name in ("leftHand", "leftUpperArm")))
+    assert arm[0] > 0.99 * np.linalg.norm(arm)
 
 
 def test_long_arms_stay_attached():

@@ -254,7 +254,7 @@ def parts_of(data):
     for part in header["parts"]:
         rows[part["mesh"], part["primitive"]] = np.frombuffer(data, "<u4", part["rows"], at)
         at += 4 * part["rows"]
-    assert at + (header["vertices"] if header["kinds"] else 0) == len(data)
+    assert at + (2 * header["vertices"] if header["numbered"] else 0) == len(data)
     return bits.astype(bool), rows
 
 
@@ -262,11 +262,12 @@ def test_rows_of_the_page_are_vertices_of_the_character(tmp_path):
     save_character(make_sample("dancer", 0.3), tmp_path / "dancer.glb")
     character = load_character(tmp_path / "dancer.glb")
     found = character.vertices[:, 1] > 0.5
-    labels = np.where(found, 2, 0)
-    save_worn(character, found, tmp_path / WORN, labels)
+    numbers = np.where(found, 2, -1)
+    save_worn(character, found, tmp_path / WORN, numbers)
     bits, rows = parts_of((tmp_path / WORN).read_bytes())
     np.testing.assert_array_equal(bits, found)
-    np.testing.assert_array_equal(np.frombuffer((tmp_path / WORN).read_bytes()[-len(found) :], np.uint8), labels)
+    written = np.frombuffer((tmp_path / WORN).read_bytes()[-2 * len(found) :], "<u2")
+    np.testing.assert_array_equal(written, numbers + 1)
     save_character(character, tmp_path / "mesh.glb")
     document = read_gltf(tmp_path / "mesh.glb", (tmp_path / "mesh.glb").read_bytes()).source.document
     drawn = {

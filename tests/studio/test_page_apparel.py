@@ -17,6 +17,18 @@ TIP = """(() => {
 })()"""
 
 
+SEEN = """(kind) => {
+    const view = studio.view();
+    const { worn } = studio.numbered.value;
+    const own = studio.character.value.dress.map((part, number) => (part.kind === kind ? number + 1 : 0));
+    const chosen = worn.numbers.findIndex((number) => number && own.includes(number));
+    const [name, rows] = [...worn.rows].find(([, vertices]) => vertices.includes(chosen));
+    const skin = [...view.panes[0].model.primitives].find(([, key]) => key === name)[0];
+    const colour = skin.geometry.getAttribute("color");
+    const row = rows.indexOf(chosen);
+    return [colour.getX(row), colour.getY(row), colour.getZ(row)].map((value) => Number(value.toFixed(3)));
+}"""
+"""The colour in which a part of a kind is drawn."""
 AIM = """([x, y, z]) => {
     const view = studio.view();
     const spot = view.camera.position.clone().set(x, y, z).project(view.camera);
@@ -102,4 +114,37 @@ def test_hair_and_clothes_are_painted_and_swing(dancer):
     page.until(f"!studio.character.value.painted && {LEGEND} === '{before}'")
     page.page.keyboard.press("Escape")
     page.until("!document.getElementById('dab')")
+    page.check()
+
+
+def test_a_click_gives_a_part_another_kind_and_all_follows(dancer):
+    page, one = dancer
+    record = f"/api/characters/{one}"
+    kinds = "studio.character.value.dress.map((part) => part.kind)"
+    assert "skirt" in page.value(kinds)
+    page.page.click("#correct")
+    page.until("studio.numbered.value && studio.view().panes[0]?.bound")
+    page.value("studio.view().draw(true)")
+    assert "% skirt" in page.value("document.querySelector('.kinds').textContent")
+    skirt = page.page.evaluate(SEEN, "skirt")
+    assert skirt != page.page.evaluate(SEEN, "hair")
+
+    chains = page.studio.get(record)["chains"]
+    points = [chain["points"][len(chain["points"]) // 2] for chain in chains if chain["kind"] == "skirt"]
+    eye = page.value("studio.view().camera.position.toArray()")
+    page.page.mouse.click(*page.page.evaluate(AIM, min(points, key=lambda point: math.dist(point, eye))))
+    page.until("document.querySelector('.picked')")
+    assert page.value("document.querySelector('.picked p').textContent").strip().startswith("skirt")
+    before, laid = page.value("studio.character.value.version"), page.studio.get(record)["laid"]
+    page.page.click(".picked button >> text=accessory")
+    page.until(f"!{kinds}.includes('skirt') && studio.character.value.version > {before}")
+    page.until("studio.numbered.value.key.endsWith(JSON.stringify(studio.character.value.dress))")
+    page.until("studio.view().panes[0].model.key.split(':')[1] === String(studio.character.value.version)")
+    assert page.page.evaluate(SEEN, "accessory") != skirt
+    page.studio.until(lambda: page.studio.get(record)["laid"] > laid, "chains over what hangs now")
+    assert all(chain["kind"] != "skirt" for chain in page.studio.get(record)["chains"])  # what is worn is stiff
+    page.page.screenshot(path="/work/runs/clothes/picked2.png")
+    page.page.click("[aria-label=undo]")
+    page.until(f"{kinds}.includes('skirt') && studio.character.value.state === 'ready'")
+    page.page.click("#corrected")
     page.check()

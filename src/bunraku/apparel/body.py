@@ -193,12 +193,12 @@ def _means(values: np.ndarray, groups: np.ndarray, count: int) -> np.ndarray:
     return np.asarray(out / np.maximum(out.sum(axis=1, keepdims=True), 1e-12), np.float32)
 
 
-CELL = 0.015  # of the grid, over the character's size [m]
+CELL = 0.015  # of the grid, over the character's size [m]; chosen by eye, half the width of a wrist
 BAND = 6 * CELL  # distances beyond this are cut to it, over the character's size [m]
 _MOST_CELLS = 2_000_000
 _FACES = 6_000
-OUTSIDE = 2.5  # cells from the body beyond which distances outside of it are good to a cell or two
-_ROUGH = 1.5  # how far a surface may be from the cells of its triangles' middles [cells]
+OUTSIDE = 2.5  # cells from the body beyond which distances outside of it are good to a cell or two; by definition
+_ROUGH = 1.5  # how far a surface may be from the cells of its triangles' middles [cells]; chosen by eye
 CLOSE = 1.0  # cells from the surface within which every point is tested
 _KEPT = 3  # grids of the last bodies; one takes up to 8 MB
 

@@ -17,14 +17,12 @@ from bunraku.core.geometry.curves import smooth_step
 from bunraku.core.geometry.graph import clean_mesh, unique_edges
 
 # Shares of a part, and lengths over the size [m]. All were chosen by eye.
-MOSTLY = 0.5  # share that must lie so near another layer
-LAYER = 0.04  # distance of two layers of a skirt at the most
 BORDER = 0.04  # distance from the body of the same sheet up to which apparel goes with it in part
 SPECK = 0.045  # of the height: what is no longer than this stays with the body
 _SMALL = 0.002  # of the apparel's vertices: parts with fewer stay with the body
 _NEAR = 12
 _HIPS, _COLLARS = sided("hip"), sided("collar")
-_HEAD = tuple(JOINT_NAMES.index(name) for name in ("head", "neck"))
+_HEAD, _WAIST = (tuple(JOINT_NAMES.index(name) for name in names) for names in (("head", "neck"), ("pelvis", "spine1")))
 
 
 def joint_weights_of_handles(handles: Handles) -> np.ndarray:
@@ -88,14 +86,12 @@ def fitted_clothes(
         said = carriers[rows[carriers[rows] >= 0]]
         carrier = int(np.bincount(said).argmax()) if len(said) else -1
         out[rows] = np.eye(JOINT_COUNT, dtype=np.float32)[_carrying(share, carrier)]
-    part = _layers_as_one(bare, out)
-    count = int(part.max(initial=-1)) + 1
     if not count:
         return bare
     flat = np.ones(count, np.float32)
     stiffness = np.clip(NORMAL_STIFFNESS + np.log10(dial), SOFTEST, STIFFEST) * flat
     clothed = ClothedCharacter(vertices, faces, joints, out, apparel, part, stiffness, NORMAL_DAMPING * flat)
-    return clothed if parts is None else replace(clothed, kinds=kinds_of(clothed, parts.label))
+    return clothed if parts is None else _skirts_as_one(replace(clothed, kinds=kinds_of(clothed, parts.label)))
 
 
 def kinds_of(clothed: ClothedCharacter, labels: np.ndarray) -> tuple[str, ...]:
@@ -121,27 +117,23 @@ def _joined(clothed: ClothedCharacter) -> tuple[np.ndarray, np.ndarray]:
     return edges[:, 0], edges[:, 1]
 
 
-def _layers_as_one(clothed: ClothedCharacter, weights: np.ndarray) -> np.ndarray:
-    """The parts, those that hang from the pelvis and lie on one another as one, shape (V,): two layers of a skirt that
-    moved independently would come through one another.
+def _skirts_as_one(clothed: ClothedCharacter) -> ClothedCharacter:
+    """The same with all skirts that hang from the hips as one part on the pelvis: layers that moved independently would
+    come through one another.
     """
-    part = np.array(clothed.part)
-    count = int(part.max(initial=-1)) + 1
-    near = LAYER * clothed.scale
-    rows = [np.flatnonzero(part == number) for number in range(count)]
-    hung = [number for number in range(count) if weights[rows[number][0]].argmax() == 0]
-    trees = {number: cKDTree(clothed.rest[rows[number]]) for number in hung}
-    merged = np.arange(count)
-    for number in sorted(hung, key=lambda number: len(rows[number])):
-        points = clothed.rest[rows[number]]
-        for other in hung:
-            if merged[other] != merged[number]:
-                gap = trees[other].query(points, distance_upper_bound=near)[0]
-                if np.isfinite(gap).mean() > MOSTLY:
-                    merged[merged == merged[number]] = merged[other]
-    cloth = part >= 0
-    part[cloth] = np.unique(merged[part[cloth]], return_inverse=True)[1]
-    return part
+    weights, number = np.array(clothed.weights), np.arange(len(clothed.kinds))
+    skirts = [
+        part for part, kind in enumerate(clothed.kinds)
+        if kind == "skirt" and weights[clothed.part == part][0].argmax() in _WAIST
+    ]  # fmt: skip
+    number[skirts] = min(skirts, default=0)
+    weights[np.isin(clothed.part, skirts)] = np.eye(JOINT_COUNT, dtype=np.float32)[0]
+    kept, number = np.unique(number, return_inverse=True)
+    part = np.where(clothed.part >= 0, number[clothed.part], -1)
+    return replace(
+        clothed, part=part, stiffness=clothed.stiffness[kept], damping=clothed.damping[kept], limit=clothed.limit[kept],
+        kinds=tuple(clothed.kinds[one] for one in kept), weights=weights,
+    )  # fmt: skip
 
 
 def eased_border(clothed: ClothedCharacter) -> np.ndarray:

@@ -16,7 +16,7 @@ from bunraku.apparel.clothed import FREE, NARROW, ClothedCharacter, Swing, guess
 from bunraku.core.geometry.graph import clean_mesh, mesh_parts, unique_edges
 from bunraku.core.nn.layers import Linear, Norm, Weights, gelu, normed
 
-MOSTLY = 0.4  # of a loose piece's points: a piece of which so many are apparel is apparel
+MOSTLY = 0.4  # of a loose piece's points: a piece of which so many are apparel is apparel; chosen by eye
 LARGE = 0.3  # of all points: a piece with more may be the body itself; chosen by eye
 
 

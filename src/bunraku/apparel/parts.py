@@ -267,10 +267,13 @@ def _whole(character: Character, found: FoundParts, said: Sequence[Piece]) -> Pa
     piece = _pieces(clean.vertices, edges, label)
     chosen = np.zeros(count, bool)
     for correction in said:
-        if correction.kind in PARTS:
-            at = (np.asarray(correction.at) - clean.center) / clean.scale
-            rows = np.isin(piece, piece[cKDTree(clean.vertices).query(at)[1]])
-            label[rows], chosen[rows] = PARTS.index(correction.kind), True
+        at = (np.asarray(correction.at) - clean.center) / clean.scale
+        rows = np.isin(piece, piece[cKDTree(clean.vertices).query(at)[1]])
+        kind = PARTS.index(correction.kind) if correction.kind in PARTS else BODY  # an arm is of the body
+        body = label == BODY
+        if kind != BODY and (body & rows).any() and area[body & ~rows].sum() < BARE * area.sum():
+            continue  # of one skin with the body: all of it would become a prop
+        label[rows], chosen[rows] = kind, True
     hangs = np.isin(label, HANGING) & (hangs | chosen)
     hangs = (_filled(np.where(hangs, label, -1), edges, area) >= 0) & np.isin(label, HANGING)
     number = np.full(count, -1)

@@ -31,22 +31,21 @@ WORN = "worn.bin"
 _MAGIC = b"BNRM"
 
 
-def save_worn(character: Character, found: np.ndarray | None, path: Path, labels: np.ndarray | None = None) -> None:
+def save_worn(character: Character, found: np.ndarray | None, path: Path, numbers: np.ndarray | None = None) -> None:
     """Write what was found, and which vertices the page draws: `BNRM`, the length of a JSON header, the header
-    (`vertices`, `parts`: mesh, primitive, rows, and `kinds`), `packed_bits` of the mask, for each primitive the vertex
-    of the character that each of its rows is, uint32, and where there are kinds the one of each vertex, uint8.
+    (`vertices`, `parts`: mesh, primitive, rows, and `numbered`), `packed_bits` of the mask, for each primitive the
+    vertex of the character that each of its rows is, uint32, and where it is numbered the part of each vertex, uint16:
+    0 is the body, and others are the entries of the record's `dress`, from 1 on.
 
     Args:
         character: The character.
         found: Vertices that are apparel, shape (V,), bool; None where that is not known.
         path: The file.
-        labels: Number of the kind of part of each vertex (`PARTS`), shape (V,); None where that is not known.
+        numbers: The part of each vertex, -1 on the body, shape (V,); None where that is not known.
 
     Raises:
         FormatError: It cannot be written.
     """
-    from bunraku.apparel.part_network import PARTS
-
     source = document_of(character)
     parts: list[dict[str, int]] = []
     rows: list[np.ndarray] = []
@@ -63,13 +62,12 @@ def save_worn(character: Character, found: np.ndarray | None, path: Path, labels
             rows.append(index.astype("<u4"))
         mesh += 1
     count = len(character.vertices)
-    kinds = [] if labels is None else list(PARTS)
-    words = json.dumps({"vertices": count, "parts": parts, "kinds": kinds}).encode()
+    words = json.dumps({"vertices": count, "parts": parts, "numbered": numbers is not None}).encode()
     words += b" " * (-len(words) % 4)
     bits = packed_bits(np.zeros(count, bool) if found is None else found)
     with atomic_write(path) as file:
         file.write(b"".join([_MAGIC, struct.pack("<I", len(words)), words, bits, *(row.tobytes() for row in rows)]))
-        file.write(b"" if labels is None else labels.astype(np.uint8).tobytes())
+        file.write(b"" if numbers is None else (numbers + 1).astype("<u2").tobytes())
 
 
 def packed_bits(mask: np.ndarray) -> bytes:

@@ -104,15 +104,15 @@ def apparel_facts(character: Character, anatomy: Anatomy, worn: Path, painted: b
     """
     from bunraku.apparel.parts import part_facts, parts_of
     from bunraku.retarget.pins import limb_ends
-    from bunraku.studio.dressing import apparel_mask_of, has_apparel, save_worn
+    from bunraku.studio.dressing import apparel_mask_of, found_mask, has_apparel, save_worn
 
-    mask, labels, kinds = None, None, []
+    mask, numbers, kinds = None, None, []
     try:
-        mask, labels, kinds = apparel_mask_of(character), parts_of(character).label, part_facts(character)
+        mask, numbers, kinds = apparel_mask_of(character), parts_of(character).number, part_facts(character)
     except Exception:  # a character opens even where its clothes cannot be found
         _log.exception("apparel could not be looked for")
-    if not worn.is_file() or not painted:
-        save_worn(character, mask, worn, labels)
+    kept = found_mask(worn) if painted and worn.is_file() else None
+    save_worn(character, mask if kept is None or len(kept) != len(character.vertices) else kept, worn, numbers)
     ends = [
         {"part": end.part, "handle": end.handle, "point": np.round(end.point, 5).tolist()} for end in limb_ends(anatomy)
     ]

@@ -55,31 +55,61 @@ _PARAMETERS = {
     "strand": ChainParameters(18 * _DEGREE, 0.8, 0.8, 0.93),
 }
 
-# Of chains laid over a shape, fitted: what came nearest to the simulated wardrobe, kind by kind, on 18 characters for
-# training. There shape says nothing of limits and springs beyond the kind (a regression on length, width, position,
-# number and direction explains 1 % of the limits' variance on held-out characters), so they are guessed on the narrow
-# side. A cape's are on the wide side, so that it is seen to swing: with 15 degrees and 0.3 the hems of two capes were
-# 3 and 5 % of the height away from the back, with 28 degrees and 0.1 they were 3.5 and 9 %.
-_LAID = {
-    "hair": ChainParameters(12 * _DEGREE, 1.0, 0.3, 0.93),
-    "skirt": ChainParameters(13 * _DEGREE, 1.0, 0.3, 0.88),
-    "cape": ChainParameters(26 * _DEGREE, 1.0, 0.12, 0.9),
-    "sleeve": ChainParameters(8 * _DEGREE, 1.0, 0.3, 0.95),
-    "tail": ChainParameters(9 * _DEGREE, 1.0, 0.3, 0.9),
-    "ear": ChainParameters(5 * _DEGREE, 1.0, 1.0, 0.95),
-    "ribbon": ChainParameters(10 * _DEGREE, 1.0, 0.4, 0.93, mass=0.25),
-    "strand": ChainParameters(10 * _DEGREE, 1.0, 0.4, 0.93),
+
+@dataclass(frozen=True)
+class LaidShape:
+    """What is seen of a chain at rest that is laid over a shape.
+
+    Args:
+        length: Along it, over the size of the character.
+        slim: Its length over its width; infinite for a sheet.
+        gap: How far it is from the body on the mean, over the size of the character.
+        down: Cosine of its direction and down: 1 where it hangs, 0 level, -1 where it stands.
+    """
+
+    length: float
+    slim: float
+    gap: float
+    down: float
+
+    @property
+    def loose(self) -> float:
+        """From 0, where nothing suggests that it swings, to 1, where it hangs freely and is slim."""
+        hangs = 0.5 + 0.5 * self.down
+        return float(hangs * np.clip(self.slim / SLIM, 0, 1) * np.clip(self.gap / GAP, 0, 1))
+
+
+# On the wardrobe's 18 characters for training, shape says nothing of limits beyond the kind (a regression explains 1 %
+# of their variance): its springs are drawn without regard to it. What follows was chosen by eye, by strips in a hidden
+# order of twelve bare meshes.
+_BEND = {
+    "hair": 14.0,
+    "skirt": 15.0,
+    "cape": 30.0,
+    "sleeve": 9.0,
+    "tail": 12.0,
+    "ear": 5.0,
+    "ribbon": 11.0,
+    "strand": 11.0,
 }
-LONG = 0.15
-"""Over the size; shorter chains hold their shape more. Chosen by eye, as are the next two."""
+"""How far a link of each kind rotates against the one above it [degrees], where it is half loose."""
+SLIM = 4.0  # length over width from which on a lock is slim
+GAP = 0.04  # over the size: a chain that keeps so far from the body is free
+LONG = 0.15  # over the size; shorter chains hold their shape more
 SHORT_SHARE = 0.4  # of its limits, that the shortest chain has at least
 ROOT = 0.5  # of its limits, that the first link of a chain has
+LOOSE = (0.6, 1.4)  # of its limits, that a chain has that is not loose at all, and one that is quite loose
+HOLD = (0.5, 0.1)  # spring over the moment of its weight, the same
+LOSS = (0.95, 0.89)  # share of the velocity lost in a second, the same
 
 
-def parameters_of_laid(kind: str, length: float) -> ChainParameters:
-    """Parameters of a chain laid over a shape, by its kind (`KINDS`) and its length over the size of the character."""
-    laid = _LAID[kind]
-    return replace(laid, limit=laid.limit * float(np.clip(length / LONG, SHORT_SHARE, 1.0)), root=ROOT)
+def parameters_of_laid(kind: str, shape: LaidShape) -> ChainParameters:
+    """Parameters of a chain laid over a shape, by its kind (`KINDS`) and what is seen of it at rest. What does not hang
+    at rest has its shape by itself, so that its weight counts the less.
+    """
+    limit, hold, loss = (first + shape.loose * (last - first) for first, last in (LOOSE, HOLD, LOSS))
+    limit *= np.radians(_BEND[kind]) * float(np.clip(shape.length / LONG, SHORT_SHARE, 1.0))
+    return ChainParameters(limit, 1.0, hold, loss, gravity=float(np.clip(shape.down, 0, 1)), root=ROOT)
 
 
 def parameters_of(kind: str) -> ChainParameters:
@@ -112,6 +142,7 @@ class Chain:
 SUFFIX = ".apparel.toml"
 _BOUNDS = {"limit": (0.0, 90.0), "stiffness": (0.0, 1000.0), "damping": (0.0, 0.999), "gravity": (-10.0, 10.0),
            "mass": (1e-3, 1000.0)}  # fmt: skip
+"""What a file may say; chosen."""
 
 
 def parameters_beside(character: Character) -> dict[str, dict[str, float]]:

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.sparse import diags
 from scipy.spatial import cKDTree
 
-from bunraku.apparel.chains.chain import KINDS, Chain, parameters_from_file, parameters_of_laid
-from bunraku.apparel.chains.chain_rig import LaidChains
+from bunraku.apparel.chains.chain import KINDS, Chain, LaidShape, parameters_from_file, parameters_of_laid
+from bunraku.apparel.chains.chain_rig import LaidChains, neighbours_of
 from bunraku.apparel.chains.sheets import Piece, pieces_of
 from bunraku.apparel.clothed import FREE, LOADS, NARROW, SOFTEST, STIFFEST, ClothedCharacter, Swing
 from bunraku.core.body.layout import JOINT_COUNT
@@ -26,13 +26,11 @@ SHORTEST = 0.05  # what reaches less far from where it is held stays there
 SHORT = 0.45  # of the farthest end: a shorter end gets a chain of its own only where none is near
 CANDIDATES = 700  # points among which ends are looked for
 SLOPE = 0.03  # points are ends where none near reaches so much farther
-NEXT = 2.2  # neighbours of a sheet are at most so many widths of a column apart
 EVENED = 4  # how often ends are moved to the middle of what is nearest to them
 HOLDS = 0.9  # of a link: so far from its beginning its skin blends into what it hangs on
 BROAD = 0.45  # of a column's width: standard deviation of what it holds
 EASED = 6  # how often shares are averaged along the surface
 HOLDERS = 6  # links that hold a vertex
-TIED = ("skirt", "cape", "sleeve")
 SHARED = 0.04  # of what two columns hold: as much as this in common makes them neighbours
 LIGHT = 1e-3  # least gravity by which springs are measured, as a factor
 
@@ -69,7 +67,6 @@ def shape_chains(clothed: ClothedCharacter) -> LaidChains:
     pieces, index = pieces_of(clothed)
     size = clothed.scale
     chains: list[Chain] = []
-    ties: list[tuple[int, int]] = []
     near: list[tuple[int, int, float]] = []
     count = int(index.max()) + 1
     links, shares = np.zeros((count, HOLDERS), np.int64), np.zeros((count, HOLDERS))
@@ -89,15 +86,18 @@ def shape_chains(clothed: ClothedCharacter) -> LaidChains:
             thick = float(np.clip(0.25 * width, 0.004 * size, 0.015 * size))
             chains.append(Chain(
                 f"{piece.kind}_{number}_{order}", piece.kind, bones, column.points, piece.joint,
-                np.full(column.links, width), thick, parameters_of_laid(piece.kind, column.end / size),
+                np.full(column.links, width), thick, parameters_of_laid(piece.kind, _shape(piece, column, width, size)),
             ))  # fmt: skip
         for one, other in zip(*np.nonzero(np.triu(common > SHARED, 1)), strict=True):
             near.append((base + int(one), base + int(other), float(common[one, other])))
-        if piece.kind in TIED:
-            ties += [(base + one, base + other) for one, other in _beside(columns, wide)]
     vertices = np.flatnonzero((clothed.part >= 0) & (shares[index].sum(axis=1) > 0))
     return LaidChains(
-        tuple(chains), tuple(ties), vertices, links[index[vertices]], shares[index[vertices]], tuple(near)
+        tuple(chains),
+        tuple(neighbours_of(chains)),
+        vertices,
+        links[index[vertices]],
+        shares[index[vertices]],
+        tuple(near),
     )
 
 
@@ -168,23 +168,23 @@ def _spine(piece: Piece, end: int, rows: int, wide: float) -> np.ndarray:
     return np.array(out)
 
 
+def _shape(piece: Piece, column: _Column, width: float, size: float) -> LaidShape:
+    """What is seen at rest of a column, half the width of which is `width` [m]."""
+    mine = np.exp(-0.5 * np.square(column.beside(piece.points, piece.along) / max(width, 1e-6)).clip(max=1000))
+    mine *= piece.along  # its end is what swings
+    way = column.points[-1] - column.points[0]
+    return LaidShape(
+        column.end / size, np.inf if piece.kind in WIDE else column.end / (2 * width),
+        float(mine @ piece.gap / max(float(mine.sum()), 1e-9)) / size, float(-way[1] / max(np.linalg.norm(way), 1e-9)),
+    )  # fmt: skip
+
+
 def _half_width(piece: Piece, column: _Column, wide: float, size: float) -> float:
     """Half the width of what a column holds [m]."""
     away = column.beside(piece.points, piece.along)
     mine = (away < 0.6 * wide) & (piece.along > 0.3 * column.end)
     spread = float(np.percentile(away[mine], 80)) if mine.sum() > 3 else 0.25 * wide
     return float(np.clip(min(spread, 0.5 * wide), 0.006 * size, 0.08 * size))
-
-
-def _beside(columns: list[_Column], wide: float) -> list[tuple[int, int]]:
-    """Pairs of columns that are neighbours in their order about the middle of all."""
-    if len(columns) < 2:
-        return []
-    middle = np.array([column.points.mean(axis=0) for column in columns])
-    away = middle - middle.mean(axis=0)
-    order = np.argsort(np.arctan2(away[:, 0], away[:, 2]), kind="stable").tolist()
-    pairs = list(zip(order, order[1:] + order[:1] if len(order) > 2 else order[1:], strict=False))
-    return [(one, other) for one, other in pairs if np.linalg.norm(middle[one] - middle[other]) < NEXT * wide]
 
 
 def _hold(piece: Piece, columns: list[_Column], wide: float) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:

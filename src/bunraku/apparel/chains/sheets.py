@@ -42,6 +42,7 @@ class Piece:
     joint: int  # the joint that carries it
     rows: np.ndarray  # points of the surface (`clean_mesh`), shape (P,)
     points: np.ndarray  # their positions [m], shape (P, 3)
+    gap: np.ndarray  # distance of each from the body [m], shape (P,)
     along: np.ndarray  # distance along the surface from where it is held [m], shape (P,)
     before: np.ndarray  # the point of `rows` that each is reached from, -1 where it is held, shape (P,)
     graph: csr_matrix  # lengths of the edges between points [m], (P, P)
@@ -75,10 +76,12 @@ def pieces_of(clothed: ClothedCharacter) -> tuple[list[Piece], np.ndarray]:
             groups.append((kinds[number], carrier, rows))
     if hair:
         groups.insert(0, ("hair", _HEAD, np.concatenate(hair)))
+    body = points[part < 0]
+    gap = np.zeros(count) if not len(body) else cKDTree(body).query(points)[0]
     pieces = []
     for kind, carrier, rows in groups:
         holders = points[(part < 0) & np.isin(joint, _holding(carrier))]
-        pieces.append(_piece(clothed, kind, carrier, rows, points, holders, border, edges))
+        pieces.append(_piece(clothed, kind, carrier, rows, points, gap, holders, border, edges))
     return pieces, clean.index
 
 
@@ -89,8 +92,8 @@ def _holding(joint: int) -> list[int]:
 
 
 def _piece(
-    clothed: ClothedCharacter, kind: str, joint: int, rows: np.ndarray, points: np.ndarray, holders: np.ndarray,
-    border: np.ndarray, edges: np.ndarray,
+    clothed: ClothedCharacter, kind: str, joint: int, rows: np.ndarray, points: np.ndarray, gap: np.ndarray,
+    holders: np.ndarray, border: np.ndarray, edges: np.ndarray,
 ) -> Piece:  # fmt: skip
     positions, count = points[rows], len(rows)
     index = np.full(len(points), -1)
@@ -107,7 +110,7 @@ def _piece(
     graph = coo_matrix((lengths, (pairs[:, 0], pairs[:, 1])), shape=(count, count)).tocsr()
     graph = graph + graph.T
     far, before, _ = dijkstra(graph, indices=np.flatnonzero(seeds), min_only=True, return_predecessors=True)
-    return Piece(kind, joint, rows, positions, far, np.where(before < 0, -1, before), graph)
+    return Piece(kind, joint, rows, positions, gap[rows], far, np.where(before < 0, -1, before), graph)
 
 
 def _held(

@@ -110,7 +110,7 @@ VRM_RATE = 60.0  # steps a second that VRM's parameters are meant for [1/s]
 END = 0.07  # of a chain whose last node swings as well [m], by the specification of VRM 0.x
 MOST_PAIRS = 1_000_000  # of a group of springs and a collider
 GROUPS = 15  # of colliders; the first of MMD's 16 groups is that of the chains
-SHORTEST = 5e-3  # of a joint [m]
+SHORTEST = 5e-3  # of a joint [m]; chosen: a shorter one swings too fast for a step
 _FREE = (np.ones(3), -np.ones(3))
 
 
