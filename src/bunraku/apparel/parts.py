@@ -17,14 +17,13 @@ from scipy.sparse import csr_matrix, diags
 from scipy.spatial import cKDTree
 
 from bunraku.apparel.part_network import CARRIERS, PARTS, PartNetwork, PartPoints, load_parts, loose_parts, part_points
-from bunraku.core.body.corrections import Corrections, Piece
+from bunraku.core.body.corrections import Piece
 from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.curves import smooth_step
 from bunraku.core.geometry.graph import clean_mesh, mesh_parts, unique_edges
 from bunraku.core.nn.checkpoints import dated_checkpoint
 from bunraku.core.nn.layers import one_thread, sigmoid, softmax
-from bunraku.errors import OptionError
 
 BODY = PARTS.index("body")
 HANGING = tuple(PARTS.index(name) for name in ("hair", "skirt", "cape", "sleeve", "tail"))
@@ -146,27 +145,6 @@ def parts_of(character: Character) -> Parts:
         _known.popitem(last=False)
     said = () if character.corrections is None else character.corrections.part
     return _whole(character, found, said)
-
-
-def with_part(character: Character, number: int, kind: str) -> Character:
-    """A character one of whose parts is of another kind; all that follows goes by that.
-
-    Args:
-        character: Any mesh, +Y up and facing +Z.
-        number: Of the part, as `parts_of` numbers them.
-        kind: One of `PARTS`.
-
-    Raises:
-        OptionError: There is no such part or kind.
-    """
-    parts = parts_of(character)
-    if kind not in PARTS:
-        raise OptionError(f"'{kind[:40]}' is no kind of part; take one of {', '.join(PARTS)}")
-    if not 0 <= number < len(parts):
-        raise OptionError(f"there is no part {number}; the parts are numbered from 0 to {len(parts) - 1}")
-    said = character.corrections or Corrections()
-    piece = Piece(kind, (part_point(character, parts, number),))  # type: ignore[arg-type]
-    return replace(character, corrections=replace(said, part=(*said.part, piece)))
 
 
 def part_facts(character: Character) -> list[dict[str, Any]]:
