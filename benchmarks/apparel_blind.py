@@ -33,7 +33,7 @@ from bunraku.render.frames import render_animation
 from bunraku.render.pictures import assemble, write_png
 
 FOLDER = Path(__file__).parent
-SECONDS, MOMENTS = 3.0, 10
+SECONDS, MOMENTS = 2.2, 8
 MOVING = ("walk & run", "dance", "fight")  # kinds of clips of which apparel feels something
 SIZE = (190, 250)
 WORDS = ("skirt", "gown", "cape", "ears", "tail", "dress", "hair", "ponytail", "braid", "bob")
