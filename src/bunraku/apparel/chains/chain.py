@@ -78,6 +78,11 @@ class LaidShape:
         hangs = 0.5 + 0.5 * self.down
         return float(hangs * np.clip(self.slim / SLIM, 0, 1) * np.clip(self.gap / GAP, 0, 1))
 
+    @property
+    def weight(self) -> float:
+        """Factor on its gravity: what stands off at rest, a wide skirt, has its shape by itself."""
+        return float(np.clip((self.down - ASLANT) / (1 - ASLANT), 0, 1))
+
 
 # On the wardrobe's 18 characters for training, shape says nothing of limits beyond the kind (a regression explains 1 %
 # of their variance): its springs are drawn without regard to it. What follows was chosen by eye, by strips in a hidden
@@ -95,6 +100,7 @@ _BEND = {
 """How far a link of each kind rotates against the one above it [degrees], where it is half loose."""
 SLIM = 4.0  # length over width from which on a lock is slim
 GAP = 0.04  # over the size: a chain that keeps so far from the body is free
+ASLANT = 0.8  # cosine from which on a chain hangs at all
 LONG = 0.15  # over the size; shorter chains hold their shape more
 SHORT_SHARE = 0.4  # of its limits, that the shortest chain has at least
 ROOT = 0.5  # of its limits, that the first link of a chain has
@@ -104,12 +110,10 @@ LOSS = (0.95, 0.89)  # share of the velocity lost in a second, the same
 
 
 def parameters_of_laid(kind: str, shape: LaidShape) -> ChainParameters:
-    """Parameters of a chain laid over a shape, by its kind (`KINDS`) and what is seen of it at rest. What does not hang
-    at rest has its shape by itself, so that its weight counts the less.
-    """
+    """Parameters of a chain laid over a shape, by its kind (`KINDS`) and what is seen of it at rest."""
     limit, hold, loss = (first + shape.loose * (last - first) for first, last in (LOOSE, HOLD, LOSS))
     limit *= np.radians(_BEND[kind]) * float(np.clip(shape.length / LONG, SHORT_SHARE, 1.0))
-    return ChainParameters(limit, 1.0, hold, loss, gravity=float(np.clip(shape.down, 0, 1)), root=ROOT)
+    return ChainParameters(limit, 1.0, hold, loss, gravity=shape.weight, root=ROOT)
 
 
 def parameters_of(kind: str) -> ChainParameters:
