@@ -86,7 +86,7 @@ class LaidShape:
 
 # On the wardrobe's 18 characters for training, shape says nothing of limits beyond the kind (a regression explains 1 %
 # of their variance): its springs are drawn without regard to it. What follows was chosen by eye, by strips in a hidden
-# order of twelve bare meshes.
+# order of eight bare meshes.
 _BEND = {"hair": 14.0, "skirt": 15.0, "cape": 30.0, "sleeve": 9.0, "tail": 12.0, "ear": 5.0, "ribbon": 11.0,
          "strand": 11.0}  # fmt: skip
 """How far a link of each kind rotates against the one above it [degrees], where it is half loose."""
