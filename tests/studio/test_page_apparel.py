@@ -143,7 +143,6 @@ def test_a_click_gives_a_part_another_kind_and_all_follows(dancer):
     assert page.page.evaluate(SEEN, "accessory") != skirt
     page.studio.until(lambda: page.studio.get(record)["laid"] > laid, "chains over what hangs now")
     assert all(chain["kind"] != "skirt" for chain in page.studio.get(record)["chains"])  # what is worn is stiff
-    page.page.screenshot(path="/work/runs/clothes/picked2.png")
     page.page.click("[aria-label=undo]")
     page.until(f"{kinds}.includes('skirt') && studio.character.value.state === 'ready'")
     page.page.click("#corrected")
