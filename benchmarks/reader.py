@@ -75,24 +75,23 @@ def _frames_of(clause: Any) -> Frames:
         ways = {way for target in posing.targets for way in target.ways}
         along = "backward" if "back" in ways else "forward" if "forward" in ways else "down" if "down" in ways else ""
     frames: Frames = []
-    read = [(frame.action, frame.shown, frame.fields) for frame in clause.frames] or [("none", "", {})]
-    for action, shown, fields in read:
+    read = [(frame.action, frame.fields) for frame in clause.frames] or [("none", {})]
+    for action, fields in read:
         frame: dict[str, Any] = {"action": action}
         direction = "circle" if action == "circle" else "-".join(filter(None, (along, side)))
-        direction = direction or fields.get("direction", "")
+        direction = fields.get("direction", "") or direction
         if direction:
             frame["direction"] = direction
-        if clause.turn is not None and (action != "circle" or clause.turn.side):
-            angles = {"quarter": "90", "half": "180", "full": "360"}
-            said = [angle for cue, angle in angles.items() if cue in clause.cues]
-            degrees = "180" if action == "turn around" else said[0] if said else fields.get("degrees", "?")
-            frame["turn"] = f"{degrees} {({1: 'left', -1: 'right'}).get(clause.turn.side, '?')}"
-        elif action in TURNS or "turn side" in fields:
+        if action in TURNS or "turn side" in fields:
             frame["turn"] = f"{fields.get('degrees', TURNS.get(action, '?'))} {fields.get('turn side', '?')}"
-        posture = POSTURES.get(shown) or (STANCES.get(stance.name) if stance else None)
-        posture = posture or ("sitting" if "sits" in clause.traits else "lying" if "lies" in clause.cues else None)
-        if posture or "posture" in fields:
-            frame["posture"] = posture or fields["posture"]
+        posture = POSTURES.get(action) or (STANCES.get(stance.name) if stance else None)
+        posture = (
+            fields.get("posture")
+            or posture
+            or ("sitting" if "sits" in clause.traits else "lying" if "lies" in clause.cues else None)
+        )
+        if posture:
+            frame["posture"] = posture
         if clause.count is not None:
             frame["count"] = clause.count
         frames.append(frame)

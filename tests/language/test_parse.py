@@ -232,3 +232,16 @@ def test_parts_without_seconds_share_what_there_is():
 )
 def test_signs_around_a_sentence_are_none_of_it(copied, said):
     assert check_prompt(copied) == said
+
+
+@pytest.mark.parametrize(
+    ("text", "action"),
+    [("turns around and marches back", "march"), ("walks, then turns around, then jogs back to the door", "run")],
+)
+def test_a_way_back_after_a_turn_is_a_way_forward(text: str, action: str) -> None:
+    sentence = parse(text)
+    last = (sentence.clauses[-1].parts or sentence.clauses)[-1]
+    assert last.actions == (action,) and "forward" in last.cues and "backwards" not in last.cues
+    assert sentence.notes == ()
+    (away,) = parse("marches back").clauses
+    assert "backwards" in away.cues

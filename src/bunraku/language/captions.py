@@ -78,8 +78,10 @@ def creature_words() -> frozenset[str]:
 def is_known_clause(clause: str) -> bool:
     """Whether a clause without a subject is a phrase of people's motions, in the third person, as a gerund or plain."""
     spaces, first = clause.count(" "), clause[:2]
-    for phrase in known_phrases():  # only the few that begin alike are conjugated
-        alike = phrase.count(" ") == spaces and phrase.lstrip("{")[:2] == first
+    for phrase in known_phrases():  # only the few that begin and end alike are conjugated
+        last = phrase.rpartition(" ")[2]
+        ends = "{" in last or clause.endswith(last)
+        alike = ends and phrase.count(" ") == spaces and phrase.lstrip("{")[:2] == first
         if alike and clause in (conjugate(phrase, "third"), conjugate(phrase, "gerund"), conjugate(phrase, "plain")):
             return True
     return False

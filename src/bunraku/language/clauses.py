@@ -443,7 +443,7 @@ def moved_part(clause: str) -> str:
     from bunraku.language.reader import frames_of  # numpy
 
     rows = lexicon().actions
-    shown = [rows[frame.shown] for frame in frames_of(clause) if frame.shown]
+    shown = [rows[frame.action] for frame in frames_of(clause)]
     parts = ["legs" if row.locomotion in ("walk", "run") else row.part for row in shown]
     if not parts or parts[0] == "legs":
         return parts[0] if parts else ""

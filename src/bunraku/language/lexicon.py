@@ -152,7 +152,10 @@ class Phrases:
         first, last, gap = "^" in parts, "$" in parts, "..." in parts
         bare = not (before or after or first or last or gap)
         signs = tuple(after), ahead, first, last, gap
-        return [Pattern(section, name, row, before, *signs, bare and len(row) == 1) for row in variants if row]
+        made = []
+        for row in filter(None, variants):
+            made.append(Pattern(section, name, row, before, *signs, bare and len(row) == 1))
+        return made
 
 
 @dataclass(frozen=True)
@@ -277,9 +280,10 @@ def _by_form(table: Mapping[str, str], verbs: Mapping[str, tuple[str, ...]]) -> 
 _WORD = re.compile(r"[^\W_]+|[^\w\s'’-]")
 
 
+@functools.lru_cache(maxsize=1024)
 def words_of(text: str) -> tuple[list[str], list[tuple[int, int]]]:
     """The words of a text in small letters and where each stands; a sign of punctuation is a word, and hyphens and
-    apostrophes part words.
+    apostrophes part words. The lists are shared and must not be changed.
     """
     words: list[str] = []
     spans: list[tuple[int, int]] = []
@@ -347,21 +351,18 @@ def longest_pattern(patterns: Iterable[Pattern], words: Sequence[str], start: in
 def actions_of(text: str) -> tuple[str, ...]:
     """Canonical words of a text in the order in which it says them; none where it says nothing known."""
     found = said_phrases(text)["actions"]
+    if len(found) < 2:
+        return tuple(found)
     return tuple(sorted(uncovered(found), key=found.__getitem__))
 
 
 def uncovered(actions: Collection[str]) -> list[str]:
     """Those of some actions that no other of them says already, without vague ones where others are clear."""
-    if not actions:
-        return []
     rows, covered = lexicon().actions, set[str]()
     for action in actions:
-        if action in rows:
-            covered |= rows[action].covers
-    names = [action for action in rows if action in actions and action not in covered]
-    clear = [action for action in names if not rows[action].vague]
-    others = [action for action in actions if action not in rows]
-    return [*(clear or ([] if others else names)), *others]
+        covered |= rows[action].covers
+    names = [action for action in actions if action not in covered]
+    return [action for action in names if not rows[action].vague] or names
 
 
 def main_actions(texts: Sequence[str]) -> tuple[str, ...]:

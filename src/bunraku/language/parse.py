@@ -57,7 +57,8 @@ def parse(prompt: str, seconds: float = 6.0, force: bool = False) -> Sentence:
         for part, length in timed
         for clause in split.handed_on(split.timed_clauses(split.as_parsed(part.english), length))
     ]
-    texts = with_names([text for text, _ in clauses])
+    named = with_names([text for text, _ in clauses])
+    texts = _homeward(named)
     frames = [
         clause_of(split.as_caption(split.as_present(text)), length)
         for text, (_, length) in zip(texts, clauses, strict=True)
@@ -65,7 +66,9 @@ def parse(prompt: str, seconds: float = 6.0, force: bool = False) -> Sentence:
     loop = any("loop" in said_traits(part.prompt) for part in parts)
     notes = [note for part in parts for note in part.notes]
     unknown = tuple(word for part in parts for word in part.unknown)
-    notes += dict.fromkeys(_notes(frames, [part.english for part in parts], unknown))
+    notes += dict.fromkeys(
+        _notes(frames, [part.english for part in parts], unknown, {"backward"} if texts != named else set())
+    )
     return Sentence(
         prompt,
         "; ".join(part.english for part in parts),
@@ -78,23 +81,33 @@ def parse(prompt: str, seconds: float = 6.0, force: bool = False) -> Sentence:
     )
 
 
-def _notes(clauses: Sequence[Clause], texts: Sequence[str], unknown: Sequence[object]) -> Iterator[str]:
-    """What of some texts is done in another way, or not at all, in their clauses. Unknown words are told elsewhere."""
+def _notes(clauses: Sequence[Clause], texts: Sequence[str], unknown: Sequence[object], done: set[str]) -> Iterator[str]:
+    """What of some texts is not done in their clauses, beside some actions. Unknown words are told elsewhere."""
     from bunraku.language.reader import frames_of
 
-    done = set()
     for clause in clauses:
         frames = [frame for told in clause.parts or (clause, *clause.voices) for frame in told.frames]
         done |= {frame.action for frame in frames} | set(clause.actions)
-        for frame in frames:
-            if not frame.shown:
-                yield f"'{frame.action}' is not known, and nothing like it"
         if not (frames or unknown or clause.detail or clause.locomotion):
             yield f"nothing known is named in '{clause.text}'; its motion is a guess"
-    for text in texts if len(clauses) > 1 else ():
-        for frame in frames_of(text):
-            if frame.action not in done:
-                yield f"left out: {frame.action}"
+    read = {frame.action: None for text in texts if len(clauses) > 1 for frame in frames_of(text)}
+    if left := [f"'{action}'" for action in read if action not in done]:
+        yield f"left out: {', '.join(left)}"
+
+
+def _homeward(texts: Sequence[str]) -> list[str]:
+    """Clauses in a row: a body that has turned around and goes "back" goes forward."""
+    from bunraku.language.reader import frames_of
+
+    clauses: list[str] = []
+    for text in texts:
+        before, back, after = text.partition(" back")
+        if clauses and back and not after[:1].isalpha():
+            earlier, now = ([frame.action for frame in frames_of(clause)] for clause in (clauses[-1], text))
+            if "backward" in now and earlier[-1:] == ["turn around"]:
+                text = f"{before} forward{after}"
+        clauses.append(text)
+    return clauses
 
 
 def _with_stances(clauses: Iterable[Clause]) -> Iterator[Clause]:
@@ -147,7 +160,7 @@ def clause_of(text: str, seconds: float = 0.0) -> Clause:
         things = body is not None or any(target.at in ("floor", "chair") for target in posing.targets)
         return clause if things and says_more(clause.detail) else replace(clause, detail=posing)
     voices = tuple(_clause(voice, seconds) for voice in split.split_voices(text))
-    parts = [] if voices else split.parts_of(text) or split.passing(text)
+    parts = [] if voices else _homeward(split.parts_of(text)) or split.passing(text)
     if not parts or seconds / len(parts) < split.SHORTEST_CLAUSE:
         return _clause(text, seconds, voices)
     return _clause(text, seconds, (), tuple(map(clause_of, parts, split.shared(parts, seconds))))
@@ -159,13 +172,13 @@ def _clause(text: str, seconds: float, voices: tuple[Clause, ...] = (), parts: t
     person, (subject, predicate) = split.of_person(text), subject_of(text)
     frames, phrased = frames_of(person), actions_of(person)
     cues, traits = _with_fields(said_cues(person), frames), said_traits(person)
-    actions = tuple(dict.fromkeys(frame.shown for frame in frames if frame.shown))
+    actions = tuple(frame.action for frame in frames)
     counts = [int(frame.fields["count"]) for frame in frames if "count" in frame.fields]
     sided = {"left turn", "right turn", "left go", "right go"} & cues
     straight = ("forward" in cues or "goes on" in traits) and not sided and "winding" not in traits
     return Clause(
         text, seconds, subject, person, actions, split.moved_part(text), locomotion_of(predicate), cues, traits,
-        _turn(cues, traits, actions), straight, count_of(person) or next(iter(counts), None),
+        _turn(frames), straight, count_of(person) or next(iter(counts), None),
         added_words(predicate, actions) if set(actions) <= set(phrased) else (), interaction_of(person),
         stance=next((Stance(stance) for frame in frames if (stance := _meanwhile(frame))), None), voices=voices,
         parts=parts, frames=frames,
@@ -176,18 +189,19 @@ _CHOICES = tuple(
     frozenset(cues.split(", "))
     for cues in ("forward, backwards, left go, right go", "left turn, right turn", "quarter, half, full", "slow, fast")
 )
-"""Cues of one kind: where words say none, what the network reads counts."""
+"""Cues of one kind: what the network reads counts, and where it reads none, the words."""
 
 
 def _with_fields(cues: frozenset[str], frames: Sequence[Frame]) -> frozenset[str]:
     ways = _CHOICES[0]  # where arms point is not where the body goes
     read = frozenset[str]().union(*(frame.cues - ways if _stays(frame) else frame.cues for frame in frames))
-    return cues.union(*(read & choice for choice in _CHOICES if not choice & cues))
+    taken = [read & choice or cues & choice for choice in _CHOICES]
+    return cues.difference(*_CHOICES).union(*taken)
 
 
 def _meanwhile(frame: Frame) -> str:
     """The stance in which something is done that is not the posture itself; "" where nothing is said of it."""
-    posture = frame.fields.get("posture", "") or (lexicon().actions[frame.shown].posture if frame.shown else "")
+    posture = frame.fields.get("posture", "") or lexicon().actions[frame.action].posture
     return {"sitting": "seat", "kneeling": "kneel", "lying": "back", "crouching": "squat"}.get(posture, "") * _stays(
         frame
     )
@@ -195,25 +209,30 @@ def _meanwhile(frame: Frame) -> str:
 
 def _stays(frame: Frame) -> bool:
     """Whether arms do it, wherever the body is."""
-    return bool(frame.shown) and "arms" in lexicon().actions[frame.shown].part
+    return "arms" in lexicon().actions[frame.action].part
 
 
-def _turn(cues: frozenset[str], traits: frozenset[str], actions: tuple[str, ...]) -> Turn | None:
-    """How far the body turns; None where nothing of the kind is said, or both sides are, or only the head does."""
-    side = int("left turn" in cues) - int("right turn" in cues)
-    if {"left turn", "right turn"} <= cues:
+_TURNS = {"turn around": "180", "spin": "over", "circle": "over"}
+"""How far actions that are nothing but turns go where nothing more is said of it."""
+_DEGREES = {
+    "45": (20, 90), "90": (50, 130), "?": (50, 130), "135": (90, 180), "180": (145, 215), "360": (290, 430),
+    "over": (250, math.inf),
+}  # fmt: skip
+"""Least and most angle of a turn that is said to go so far [degrees], chosen by eye."""
+
+
+def _turn(frames: Sequence[Frame]) -> Turn | None:
+    """How far the body turns; None where nothing of the kind is said, or both sides are."""
+    turns = [frame for frame in frames if "turn side" in frame.fields or frame.action in ("turn", *_TURNS)]
+    sides = {frame.fields.get("turn side", "?") for frame in turns}
+    if not turns or {"left", "right"} <= sides:
         return None
-    turns = "turns" in traits and {"half", "full", "quarter"} & cues
-    if not side and not turns and not ("full" in cues and {"spin", "circle"}.intersection(actions)):
-        return None
-    least, most = 50.0, 130.0
-    if "all round" in traits:
-        least, most = 250.0, math.inf
-    elif "full" in cues:
-        least, most = 290.0, 430.0
-    elif "half" in cues:
-        least, most = 145.0, 215.0
-    return Turn(side, math.radians(least), math.radians(most))
+    said = turns[0].fields.get("degrees", "?")
+    degrees = said if said != "?" else _TURNS.get(turns[0].action, "?")
+    if turns[0].action in ("spin", "circle") and said in ("?", "360"):
+        degrees = "over"
+    least, most = map(math.radians, _DEGREES[degrees])
+    return Turn(int("left" in sides) - int("right" in sides), least, most)
 
 
 KINDS = ("person", "two legs", "four legs", "many legs", "no legs", "snake", "fish")

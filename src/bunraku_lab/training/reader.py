@@ -27,9 +27,9 @@ from bunraku_lab.training.reader_sentences import (
     Composed,
     Composer,
     drawn,
-    grammar,
+    labelled_sentences,
     phrases_of,
-    weak_sentences,
+    watched_sentences,
 )
 from bunraku_lab.training.runs.run import AveragedRun, StepSettings, TrainingNote
 
@@ -37,6 +37,8 @@ POOL = 4096
 """Sentences that are composed at a time, and sorted into batches of one length each."""
 DROPPED = 0.1
 """Share of hidden states that are left out in training (Srivastava et al. 2014), as in BERT."""
+_KEPT = (torch.rand(2**22, generator=torch.Generator().manual_seed(0)) > DROPPED).float() / (1 - DROPPED)
+"""What values are multiplied by that are kept or left out."""
 STEPS = 31
 """Steps of a weight on either side of zero. A wheel packs them into 0.64 MB, and 127 into 0.93; what the heads say
 changes by 0.06 in the mean, where it spans some 15.
@@ -80,10 +82,17 @@ class Layer(nn.Module):
             part(x).unflatten(-1, (self.heads, -1)).transpose(1, 2) for part in (self.query, self.key, self.value)
         )
         mixed = F.scaled_dot_product_attention(query, key, value).transpose(1, 2).flatten(2)
-        x = x + F.dropout(self.leave(mixed), DROPPED, self.training)
+        x = x + self.thinned(self.leave(mixed))
         x = F.layer_norm(x, x.shape[-1:], *self.norms[0], self.epsilon)
-        x = x + F.dropout(self.narrow(F.gelu(self.wide(x))), DROPPED, self.training)
+        x = x + self.thinned(self.narrow(F.gelu(self.wide(x))))
         return F.layer_norm(x, x.shape[-1:], *self.norms[1], self.epsilon)
+
+    def thinned(self, x: Tensor) -> Tensor:
+        """With some values left out in training. A new draw would take a twelfth of a step."""
+        if not self.training:
+            return x
+        start = int(torch.randint(len(_KEPT) - x.numel(), ()))
+        return x * _KEPT[start : start + x.numel()].view_as(x)
 
 
 class ReaderNetwork(nn.Module):
@@ -98,18 +107,21 @@ class ReaderNetwork(nn.Module):
     def __init__(self, actions: int, encoder: MiniLMEncoder, rank: int = 16):
         super().__init__()
         self.layers = nn.ModuleList(Layer(layer, rank) for layer in encoder.layers)
-        self.query, self.value = nn.Linear(384, actions), nn.Linear(384, actions)
+        self.query, self.value, self.where = (nn.Linear(384, actions) for _ in range(3))
         self.fields = nn.Linear(384, sum(1 + len(values) for values in FIELDS.values()))
-        nn.init.zeros_(self.query.weight)
+        for attention in (self.query, self.where):
+            nn.init.zeros_(attention.weight)
         nn.init.normal_(self.value.weight, std=0.02)
         nn.init.constant_(self.value.bias, -5.0)
 
-    def forward(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Of each action what stands before the logistic function, (B, A), and the attention, (B, L, A); tokens."""
+    def forward(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Of each action what stands before the logistic function, (B, A), the attention to what names it, (B, L, A),
+        and to what is said of it; tokens.
+        """
         for layer in self.layers:
             x = layer(x)
         weight = self.query(x).softmax(1)
-        return (weight * self.value(x)).sum(1), weight, x
+        return (weight * self.value(x)).sum(1), weight, self.where(x).softmax(1), x
 
 
 def quantised(matrix: np.ndarray, axis: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -137,11 +149,13 @@ class Batch(NamedTuple):
         x: What the first layer reads of their tokens, shape (B, L, 384).
         said: A row for each action that is named: sentence, action, first token, one after the last (0, 0: anywhere),
             fields.
+        open: Whether a sentence may name an action that is not among these, shape (B, A).
         texts: The sentences.
     """
 
     x: Tensor
     said: Tensor
+    open: Tensor
     texts: tuple[str, ...]
 
 
@@ -166,7 +180,8 @@ def batches(sentences: Sequence[Composed], actions: Sequence[str], encoder: Mini
                     said.append((row, number[action], *span, *fields.values()))
             x = torch.from_numpy(np.stack([encoder.embedded(numbers) for numbers, _, _ in rows]))
             labels = torch.tensor(said, dtype=torch.int64).reshape(-1, 4 + len(FIELDS))
-            made.append(Batch(x, labels, tuple(sentence.text for _, _, sentence in rows)))
+            more = torch.tensor([[action in sentence.open for action in actions] for _, _, sentence in rows])
+            made.append(Batch(x, labels, more, tuple(sentence.text for _, _, sentence in rows)))
     return made
 
 
@@ -176,13 +191,16 @@ class ReaderTrainConfig(StepSettings):
 
     Args:
         phrases: Files with an action, a tab and a phrase in each line.
+        sentences: Files with an object of JSON in each line, a sentence with all that it says.
         data: Folder with `captions_watched.json` and `captions_asked.tsv`.
         rank: Of the changes of the encoder's layers.
         held_out: Sentences to validate on.
-        begin: A checkpoint of a reader of the same actions to begin with; None begins with the encoder.
+        begin: A checkpoint of a reader to begin with, whose actions and fields may be fewer; None begins with the
+            encoder.
     """
 
     phrases: tuple[Path, ...] = ()
+    sentences: tuple[Path, ...] = ()
     data: Path = Path("shared/data")
     out: Path = Path("runs/reader")
     minutes: float = 20.0
@@ -219,11 +237,22 @@ class ReaderTrainer(AveragedRun[ReaderNetwork]):
         self.batches = self._batches()
 
     def _begin(self, model: ReaderNetwork) -> None:
-        if self.config.begin is not None:
-            state, _ = load_checkpoint(self.config.begin, KIND)
-            model.load_state_dict({
-                name: torch.tensor(value.T if value.ndim == 2 else value) for name, value in dequantised(state).items()
-            })  # fmt: skip
+        if self.config.begin is None:
+            return
+        state, config = load_checkpoint(self.config.begin, KIND)
+        before: list[str] = config["actions"]  # type: ignore[assignment]
+        values = [f"{name} {value}" for name, listed in FIELDS.items() for value in ("", *listed)]
+        had = values[: state["fields.bias"].size]  # new fields are the last
+        rows = dict.fromkeys(("query", "value", "where"), (before, self.actions)) | {"fields": (had, values)}
+        with torch.no_grad():
+            for name, value in dequantised(state).items():
+                given, own = torch.tensor(value.T if value.ndim == 2 else value), model.state_dict()[name]
+                if own.shape == given.shape and name.split(".")[0] not in rows:
+                    own.copy_(given)
+                else:
+                    old, new = rows[name.split(".")[0]]
+                    kept = [one for one in old if one in new]
+                    own[[new.index(one) for one in kept]] = given[[old.index(one) for one in kept]]
 
     def _batches(self) -> Iterator[Batch]:
         while True:
@@ -236,21 +265,22 @@ class ReaderTrainer(AveragedRun[ReaderNetwork]):
         """The loss of a batch."""
         parts = self.losses(self.model, next(self.batches))
         figures = dict(zip(("named", "attended", "fields"), (float(part.detach()) for part in parts), strict=True))
-        return parts[0] + 0.3 * parts[1] + 0.3 * parts[2], figures
+        return parts[0] + 0.3 * parts[1] + 0.5 * parts[2], figures
 
     def losses(self, model: ReaderNetwork, batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
         """Cross-entropies: of the actions, a sum over actions and a mean over sentences; of the attention of those that
         are named to their clause; and of the fields that are known.
         """
-        logits, weight, hidden = model(batch.x)
+        logits, weight, where, hidden = model(batch.x)
         said, count = batch.said, len(batch.x)
         row, action = said[:, 0], said[:, 1]
-        named = F.binary_cross_entropy_with_logits(logits, _target(logits, said), reduction="sum") / count
-        attention = weight[row, :, action]
-        at = torch.arange(attention.shape[1])[None]
+        named = (self._sure(batch) * _crossed(logits, _target(logits, said))).sum() / count
+        at = torch.arange(weight.shape[1])[None]
         inside = (at >= said[:, 2:3]) & (at < said[:, 3:4])
         spans = inside.any(1)
-        attended = -((attention * inside).sum(1)[spans] + 1e-6).log().sum() / count
+        attended = logits.new_zeros(())
+        for attention in (weight[row, :, action], where[row, :, action]):
+            attended = attended - ((attention * inside).sum(1)[spans] + 1e-6).log().sum() / count
         values = model.fields(torch.einsum("nl,nlc->nc", attention, hidden[row]))
         fields, start = logits.new_zeros(()), 0
         for index, options in enumerate(FIELDS.values()):
@@ -259,32 +289,39 @@ class ReaderTrainer(AveragedRun[ReaderNetwork]):
             start += 1 + len(options)
         return named, attended, fields / count
 
+    def _sure(self, batch: Batch) -> Tensor:
+        """What is known of each action of a sentence: that it is named, or that it is not; shape (B, A)."""
+        return (~batch.open | (_target(batch.open, batch.said) > 0)).float()
+
     @torch.no_grad()
-    def scored(self) -> tuple[Tensor, Tensor]:
-        """What the averaged network says of the held-out sentences before the logistic function, and what is true."""
+    def scored(self) -> tuple[Tensor, Tensor, Tensor]:
+        """What the averaged network says of the held-out sentences before the logistic function, what is true, and 1
+        where that is known.
+        """
         self.average.eval()
         logits = [self.average(batch.x)[0] for batch in self.held_out]
         truth = [_target(said, batch.said) for said, batch in zip(logits, self.held_out, strict=True)]
-        return torch.cat(logits), torch.cat(truth)
+        return torch.cat(logits), torch.cat(truth), torch.cat([self._sure(batch) for batch in self.held_out])
 
     def validate(self) -> dict[str, float]:
         """How the held-out sentences are read where an action is likelier than not."""
-        logits, truth = self.scored()
-        said, meant = logits > 0, truth > 0
+        logits, truth, sure = self.scored()
+        meant = truth > 0
+        said = (logits > 0) & ((sure > 0) | meant)
         named = meant.any(1)
         right = float((said & meant).sum())
         return {
             "exact": float((said == meant).all(1)[named].float().mean()),
             "f1": 2 * right / max(float(said.sum() + meant.sum()), 1.0),
             "silent": float((~said).all(1)[~named].float().mean()),
-            "validation": float(F.binary_cross_entropy_with_logits(logits, truth, reduction="sum") / len(logits)),
+            "validation": float((sure * _crossed(logits, truth)).sum() / len(logits)),
         }
 
     def shares(self) -> list[float]:
         """What makes probabilities of the network and the lexicon's phrases together (`Reader.shares`): the logistic
         regression on the held-out sentences.
         """
-        logits, truth = self.scored()
+        logits, truth, sure = self.scored()
         texts = [text for batch in self.held_out for text in batch.texts]
         phrased = torch.tensor([[action in said for action in self.actions] for said in map(actions_of, texts)])
         agreed = phrased & (logits == logits.max(1, keepdim=True).values)
@@ -294,7 +331,7 @@ class ReaderTrainer(AveragedRun[ReaderNetwork]):
         def loss() -> Tensor:
             search.zero_grad()
             said = shares[0] * logits + shares[1] * phrased + shares[2] * agreed + shares[3]
-            value = F.binary_cross_entropy_with_logits(said, truth)
+            value = (sure * _crossed(said, truth)).mean()
             value.backward()  # type: ignore[no-untyped-call]
             return value
 
@@ -308,12 +345,16 @@ class ReaderTrainer(AveragedRun[ReaderNetwork]):
             return self.checkpoint
         self.best = loss
         shares = self.shares() if self.held_out else [1.0, 0.0, 0.0, 0.0]
-        config = {"actions": self.actions, "shares": shares, "instead": grammar()["instead"], **note}
+        config = {"actions": self.actions, "shares": shares, **note}
         return save_checkpoint(self.checkpoint, packed(self.average), config, self.kind)
 
 
+def _crossed(logits: Tensor, truth: Tensor) -> Tensor:
+    return F.binary_cross_entropy_with_logits(logits, truth, reduction="none")
+
+
 def _target(logits: Tensor, said: Tensor) -> Tensor:
-    target = torch.zeros_like(logits)
+    target = torch.zeros(logits.shape)
     target[said[:, 0], said[:, 1]] = 1
     return target
 
@@ -330,6 +371,7 @@ def train_reader(config: ReaderTrainConfig, report: Callable[[dict[str, float]],
     actions = [action for action in phrases if action != NOTHING]
     if not actions:
         raise OptionError("no phrase names an action; give files of actions and phrases")
+    labelled = labelled_sentences(config.sentences, actions)
     composers = {}
     for split in ("train", "val"):
         own_phrases = {
@@ -337,7 +379,9 @@ def train_reader(config: ReaderTrainConfig, report: Callable[[dict[str, float]],
             for action, listed in phrases.items()
             if (chosen := [phrase for phrase in listed if (drawn(phrase) < HELD_OUT) == (split == "val")])
         }
-        weak = [phrase for phrase in weak_sentences(config.data, split) if set(phrase[1]) <= set(actions)]
-        composers[split] = Composer(own_phrases, weak, config.seed * 1000)
+        watched = watched_sentences(config.data, split)
+        watched = [row for row in watched if {action for action, _, _ in row.said} <= set(actions)]
+        whole = [sentence for sentence in labelled if (drawn(sentence.text) < HELD_OUT) == (split == "val")]
+        composers[split] = Composer(own_phrases, watched, config.seed * 1000, whole)
     held_out = [composers["val"].sentence() for _ in range(config.held_out)]
     return ReaderTrainer(config, actions, composers["train"], held_out).learn(report)

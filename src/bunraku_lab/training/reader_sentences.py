@@ -7,9 +7,10 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
+import re
 from collections import Counter, defaultdict
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -17,16 +18,17 @@ from typing import Any
 import numpy as np
 
 from bunraku.errors import FormatError
-from bunraku.language.lexicon import actions_of, lexicon
+from bunraku.language.lexicon import lexicon
 from bunraku.language.prompts import plain_words
 from bunraku.language.reader import FIELDS
 from bunraku_lab.datasets.motions.build import split_of
+from bunraku_lab.datasets.motions.clips import action_labels
 
 NOTHING = "none"
 UNKNOWN = -1
 """Of a field about which a sentence may say something that is not known here."""
-HELD_OUT = 0.1
-"""Share of the phrases of each action that are validated on; the shipped reader was trained on the rest."""
+HELD_OUT = 0.05
+"""Share of the phrases of each action, and of what else is written, that is validated on and not learned."""
 Fields = dict[str, int]
 
 
@@ -41,6 +43,8 @@ class Composed:
 
     pieces: list[tuple[str, int]]
     said: list[tuple[str, int, Fields]] = field(default_factory=list)
+    open: frozenset[str] = frozenset()
+    """Actions that it may name, too."""
 
     @property
     def text(self) -> str:
@@ -49,12 +53,13 @@ class Composed:
 
 
 def phrases_of(files: Sequence[Path]) -> dict[str, list[str]]:
-    """Phrases by action, of files with an action, a tab and a phrase in each line; a phrase alone names no action.
+    """Phrases by action, of files with an action, a tab and a phrase in each line; a phrase alone names no action. Of a
+    phrase that is there more than once, the last line counts.
 
     Raises:
         FormatError: A file is missing or damaged.
     """
-    found: dict[str, list[str]] = defaultdict(list)
+    actions: dict[str, str] = {}
     for path in files:
         try:
             lines = path.read_text(encoding="utf-8").splitlines()
@@ -62,8 +67,44 @@ def phrases_of(files: Sequence[Path]) -> dict[str, list[str]]:
             raise FormatError(path, f"the phrases cannot be read ({error}); give actions and phrases") from error
         for line in filter(None, lines):
             action, _, phrase = line.rpartition("\t")
-            found[action or NOTHING].append(phrase)
+            actions[phrase] = action or NOTHING
+    found: dict[str, list[str]] = defaultdict(list)
+    for phrase, action in actions.items():
+        found[action].append(phrase)
     return dict(found)
+
+
+def labelled_sentences(files: Sequence[Path], actions: Collection[str]) -> list[Composed]:
+    """Whole sentences with all that is said in them, of files with an object of JSON in each line: "sentence", and
+    "clauses" with an action each and what is said of it, as `benchmarks/reader_300.md` describes. Those with other
+    actions than the given ones are left out.
+
+    Raises:
+        FormatError: A file is missing or damaged.
+    """
+    made = []
+    for path in files:
+        try:
+            rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+            read = [(plain_words(row["sentence"]), [(one["action"], one) for one in row["clauses"]]) for row in rows]
+        except (OSError, ValueError, KeyError) as error:
+            raise FormatError(path, f"the sentences cannot be read ({error}); give labelled sentences") from error
+        for text, clauses in read:
+            said = [(action, -1, _labelled(fields)) for action, fields in clauses if action != NOTHING]
+            if text and {action for action, _, _ in said} <= set(actions):
+                made.append(Composed([(text, -1)], said))
+    return made
+
+
+def _labelled(said: Mapping[str, Any]) -> Fields:
+    """The fields of a labelled clause."""
+    degrees, _, side = str(said.get("turn", "")).partition(" ")
+    values = {**said, "degrees": degrees, "turn side": side}
+    fields = _none()
+    for name in ("side", "direction", "turn side", "degrees", "count", "speed", "posture"):
+        if value := str(values.get(name, "")):
+            fields[name] = _value(name, value) if value in FIELDS[name] else UNKNOWN
+    return fields
 
 
 def drawn(text: str) -> float:
@@ -71,25 +112,27 @@ def drawn(text: str) -> float:
     return int(hashlib.sha256(text.lower().encode()).hexdigest()[:8], 16) / 2**32
 
 
-def weak_sentences(data: Path, split: str) -> list[tuple[str, tuple[str, ...]]]:
-    """Sentences about captured stretches with the actions that all captions of the stretch have in common agreement.
+def watched_sentences(data: Path, split: str) -> list[Composed]:
+    """What people wrote about captured stretches whose actions are known (`clips.action_labels`): captions, and
+    sentences that ask for such a motion.
 
     Args:
         data: Folder with `captions_watched.json` and `captions_asked.tsv`.
         split: Of the clips: "train" or "val".
     """
     clips = json.loads((data / "captions_watched.json").read_text(encoding="utf-8"))["clips"]
-    found = []
     with (data / "captions_asked.tsv").open(encoding="utf-8", newline="") as file:
-        for key, *asked in csv.reader(file, delimiter="\t", quoting=csv.QUOTE_NONE):
-            name, _, index = key.rpartition("#")
-            if split_of(name) != split or not index.isdigit() or int(index) >= len(clips.get(name, ())):
-                continue
-            texts = clips[name][int(index)]["texts"]
-            readings = [actions_of(text) for text in texts]
-            if readings[0] and all(set(one) == set(readings[0]) for one in readings):
-                found += [(text, readings[0]) for text in (*texts, *asked)]
-    return found
+        asked = {key: texts for key, *texts in csv.reader(file, delimiter="\t", quoting=csv.QUOTE_NONE)}
+    made: list[Composed] = []
+    labels, unknown = action_labels(), dict.fromkeys(FIELDS, UNKNOWN)
+    for name, stretches in clips.items():
+        for index, stretch in enumerate(stretches if split_of(name) == split else ()):
+            key = f"{name}@{round(stretch['start'] * 20)}"  # frames a second of the archive
+            if key in labels:
+                said = [(action, -1, unknown) for action in labels[key][0] if action != NOTHING]
+                for text in map(plain_words, (*stretch["texts"], *asked.get(f"{name}#{index}", ()))):
+                    made.append(Composed([(text, -1)], said, frozenset(labels[key][1])))
+    return [sentence for sentence in made if sentence.text]
 
 
 @cache
@@ -108,6 +151,43 @@ def _words_of_fields() -> dict[str, frozenset[str]]:
 
 
 @cache
+def _tellers(action: str) -> tuple[re.Pattern[str], dict[str, tuple[str, str]]]:
+    """Words that surely say a value of a field in phrases of an action: what finds them, and what each says."""
+    says: dict[str, tuple[str, str]] = {}
+    for row in grammar()["told"]:
+        if action in row.get("actions", (action,)) and action not in row.get("but", ()):
+            for value, forms in row["values"].items():
+                for form in forms:
+                    for limb in grammar()["limbs"] if "{limb}" in form else ("",):
+                        says[form.format(limb=limb)] = (row["field"], value)
+    longest = sorted(says, key=len, reverse=True)
+    return re.compile(rf"(?<!\w)(?:{'|'.join(map(re.escape, longest))})(?!\w)"), says
+
+
+def told(text: str, action: str) -> Fields:
+    """What a phrase of an action says of it: a value that its words surely say, "nothing" where no word tells anything
+    of a field, otherwise `UNKNOWN`.
+    """
+    said, fields = grammar(), _none()
+    finder, says = _tellers(action)
+    values: dict[str, set[str]] = defaultdict(set)
+    for name, value in (says[form] for form in finder.findall(text.lower())):
+        values[name].add(value)
+    rest = set(finder.sub(" ", text.lower()).split())
+    going = action in said["gaits"] or action in said["travels"] or action in said["aiming"] or action in said["ways"]
+    for name, words in _words_of_fields().items():
+        usual = said["of actions"].get(name, {}).get(action, "")
+        upright = name == "direction" and not going
+        if rest & (words & set(said["telling sides"].split()) if upright else words) or len(values[name]) > 1:
+            fields[name] = UNKNOWN
+        if len(values[name]) == 1 and fields[name] != UNKNOWN:
+            fields[name] = _value(name, *values[name])
+        elif usual and not values[name] and (fields[name] != UNKNOWN or name == "posture"):
+            fields[name] = _value(name, usual)
+    return fields
+
+
+@cache
 def _forms() -> dict[str, tuple[str, ...]]:
     """Any form of a verb -> its forms: plain, third person, participle."""
     return {form: (verb, *forms) for verb, forms in lexicon().verbs.items() for form in (verb, *forms[:2])}
@@ -118,18 +198,21 @@ class Composer:
 
     Args:
         phrases: By action; `NOTHING` for those that name none.
-        weak: Sentences that are taken as they are, with their actions.
+        watched: What people wrote about captured motion.
         seed: Of the draw.
+        labelled: Whole sentences that are taken as they are, all that they say being known.
     """
 
     def __init__(
         self,
         phrases: dict[str, list[str]],
-        weak: Sequence[tuple[str, tuple[str, ...]]],
+        watched: Sequence[Composed],
         seed: int,
+        labelled: Sequence[Composed] = (),
     ):
-        self.phrases, self.weak, self.rng = phrases, weak, np.random.default_rng(seed)
-        counts = Counter(action for _, actions in weak for action in actions)
+        self.labelled = labelled
+        self.phrases, self.watched, self.rng = phrases, watched, np.random.default_rng(seed)
+        counts = Counter(action for sentence in watched for action, _, _ in sentence.said)
         self.actions = [action for action in phrases if action != NOTHING]
         weights = np.array([1 + min(counts[action] / 100, 9) ** 0.5 for action in self.actions])
         self.weights = weights / weights.sum()
@@ -143,12 +226,16 @@ class Composer:
 
     def sentence(self) -> Composed:
         """A sentence."""
+        draw, shares = self.rng.random(), self.grammar["whole"]
+        for given, share in ((self.watched, shares["watched"]), (self.labelled, shares["labelled"])):
+            if given and draw < share:
+                chosen: Composed = self.pick(given)
+                return self.misspelt(replace(chosen, pieces=list(chosen.pieces)))
+            draw -= share
+        if self.chance(0.01):
+            return self.misspelt(self.returned())
         draw = self.rng.random()
-        if self.weak and draw < 0.12:
-            text, actions = self.pick(self.weak)
-            unknown = dict.fromkeys(FIELDS, UNKNOWN)
-            return self.misspelt(Composed([(plain_words(text), -1)], [(action, -1, unknown) for action in actions]))
-        count = 1 if draw < 0.55 else 2 if draw < 0.9 else 3
+        count = 1 if draw < 0.5 else 2 if draw < 0.89 else 3
         clauses = [self.clause() for _ in range(count)]
         composed = Composed([(clauses[0][0], 0)], [(action, 0, fields) for action, fields in clauses[0][1]])
         for index, (text, said) in enumerate(clauses[1:], 1):
@@ -198,6 +285,8 @@ class Composer:
             return self.turn()
         elif draw < 0.255:
             return self.glance()
+        elif draw < 0.265:
+            return self.stairs()
         elif draw < 0.28:
             way = "starts" if self.chance(0.4) else "stops"
             gait = self.pick(("walk", "run"))
@@ -210,20 +299,16 @@ class Composer:
             return self.spoken(plain_words(self.pick(self.phrases[NOTHING]))), []
         else:
             action = self.actions[int(self.rng.choice(len(self.actions), p=self.weights))]
-            text, fields = plain_words(self.pick(self.phrases[action])), _none()
-            for name, value in said["of actions"].items():
-                if action in value:
-                    fields[name] = _value(name, value[action])
-            words = set(text.lower().split())
-            for name, own in _words_of_fields().items():
-                if words & own and not fields[name]:
-                    fields[name] = UNKNOWN
+            text = plain_words(self.pick(self.phrases[action]))
+            fields = told(text, action)
             text = self.spoken(text)
         return self.modified(text, action, fields)
 
     def spoken(self, text: str) -> str:
         """A phrase with its first verb in another form, and with a subject."""
         first, _, rest = text.partition(" ")
+        if first.lower() in ("is", "gets", "was", "being") and self.chance(0.6):
+            return f"{self.pick(self.grammar['subjects'])} {'is ' * (first.lower() == 'being')}{text}"
         forms = _forms().get(first.lower())
         if forms is None or len(forms) < 3 or self.chance(0.4):
             return f"{self.pick(self.grammar['performs'])} {text}" if self.chance(0.12) else text
@@ -250,7 +335,7 @@ class Composer:
             before = self.chance(0.15) and way in FIELDS["direction"][:2]
             word, fields["direction"] = self.pick(said["directions"][way]), _value("direction", way)
             text = f"{word} {text}" if before else f"{text} {word}"
-        elif action in said["aiming"] and "direction" in free and self.chance(0.18):
+        elif action in said["aiming"] and "direction" in free and self.chance(0.25):
             way = self.pick(tuple(said["aims"]))
             text, fields["direction"] = f"{text} {self.pick(said['aims'][way])}", _value("direction", way)
         if {"degrees", "turn side", "direction"} <= free and not fields["direction"] and self.chance(0.045):
@@ -261,11 +346,7 @@ class Composer:
                 word = self.pick(said[f"{name}s"][value])
                 before = name == "speed" and self.chance(0.4)
                 text, fields[name] = f"{word} {text}" if before else f"{text} {word}", _value(name, value)
-        if (
-            "posture" in free
-            and (part or action not in lexicon().actions or action in ("idle", "talk"))
-            and self.chance(0.15)
-        ):
+        if "posture" in free and (part or action in ("idle", "talk")) and self.chance(0.15):
             posture = self.pick(FIELDS["posture"][:5])
             word, action = self.pick(said["postures"][posture]), said["in posture"].get(f"{action} {posture}", action)
             text = f"{word} {text}" if self.chance(0.5) else f"{text} {word}"
@@ -304,6 +385,29 @@ class Composer:
             return self.spoken(text), [("circle", fields)]
         return self.modified(self.spoken(text), action, fields)
 
+    def stairs(self) -> tuple[str, list[tuple[str, Fields]]]:
+        """A person climbs up or down."""
+        said, fields = self.grammar, _none()
+        action, way = self.pick(("climb", "ladder")), self.pick(("up", "down"))
+        text = self.pick(said["climbs"][way]).format(self.pick(said["climbed"][action]))
+        fields["direction"] = _value("direction", way)
+        return self.modified(self.spoken(text), action, fields)
+
+    def returned(self) -> Composed:
+        """A person turns around and goes back, which is forward."""
+        said, fields, around = self.grammar, _none(), _none()
+        gait = self.pick(said["gaits"]) if self.chance(0.5) else self.pick(("walk", "run"))
+        go = self.spoken(f"{self.pick(said['gait words'][gait])} {self.pick(said['returns'])}")
+        fields["direction"], around["degrees"] = _value("direction", "forward"), _value("degrees", "180")
+        around["turn side"] = _value("turn side", "?")
+        first, joint = self.spoken(self.pick(said["turns back"])), self.pick(("and", "then", ", then", ",", "and then"))
+        pieces, second = [(first, 0), (joint, -1), (go, 1)], 1
+        if self.chance(0.5):
+            out = self.pick(("walk", "run"))
+            pieces = [(self.spoken(self.pick(said["gait words"][out])), 2), (",", -1), *pieces]
+            return Composed(pieces, [(out, 2, _none()), ("turn around", 0, around), (gait, second, fields)])
+        return Composed(pieces, [("turn around", 0, around), (gait, second, fields)])
+
     def turn(self) -> tuple[str, list[tuple[str, Fields]]]:
         """A person turns."""
         said, fields = self.grammar, _none()
@@ -333,8 +437,10 @@ class Composer:
         return str(self.pick(self.grammar["turned"][kind]).format(text, side=side))
 
     def glance(self) -> tuple[str, list[tuple[str, Fields]]]:
-        """Eyes and head go to a side, and the body stays."""
+        """Eyes and head go to a side, or to both, and the body stays."""
         side, fields = self.pick(("left", "right")), _none()
+        if self.chance(0.2):
+            return self.modified(self.spoken(self.pick(self.grammar["glances around"])), "look around", fields)
         text = self.pick(self.grammar["glances"]).format(side=side, s=side[0])
         fields["direction"] = _value("direction", side)
         return self.modified(self.spoken(text), "look aside", fields)

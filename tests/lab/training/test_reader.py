@@ -13,37 +13,37 @@ from bunraku.language.encoders import MiniLMEncoder
 from bunraku.language.reader import FIELDS, dequantised, load_reader
 from bunraku_lab.training import reader as training
 from bunraku_lab.training.reader import ReaderTrainConfig
-from bunraku_lab.training.reader_sentences import Composed, Composer, phrases_of
+from bunraku_lab.training.reader_sentences import UNKNOWN, Composed, Composer, phrases_of
 
+WATCHED = Composed([("a person walks on", -1)], [("walk", -1, dict.fromkeys(FIELDS, UNKNOWN))])
 VERBS = {"walk": "walks", "jump": "jumps", "wave": "waves", "idle": "stands", "none": "blinks", "sidestep": "strafes"}
 
 
 @pytest.fixture
 def config(tmp_path: Path) -> ReaderTrainConfig:
-    lines = [f"{action}\t{verb} {index}" for action, verb in VERBS.items() for index in range(20)]
-    gaits = ["run", "march", "sneak", "limp", "skip", "crouch walk", "backward", "circle"]
-    gaits += ["turn", "turn around", "spin"]
-    lines += [f"{action}\t{action}" for action in (*gaits, "crouch idle", "sit", "kneel", "lie", "look aside")]
+    lines = [f"{action}\t{verb} {index}" for action, verb in VERBS.items() for index in range(60)]
+    more = "run,march,sneak,limp,skip,crouch walk,backward,circle,turn,turn around,spin,crouch idle,sit,kneel,lie"
+    lines += [f"{action}\t{action}" for action in (*more.split(","), "look aside", "look around", "climb", "ladder")]
     (tmp_path / "phrases.tsv").write_text("\n".join(lines), encoding="utf-8")
     (tmp_path / "captions_watched.json").write_text(json.dumps({"clips": {}}), encoding="utf-8")
     (tmp_path / "captions_asked.tsv").write_text("", encoding="utf-8")
     return ReaderTrainConfig(
-        phrases=(tmp_path / "phrases.tsv",), data=tmp_path, out=tmp_path / "run", held_out=32, minutes=0,
-        batch=8, validate_every=4, warmup=1, rate=1e-3, steps=12,
+        phrases=(tmp_path / "phrases.tsv",), data=tmp_path,
+        out=tmp_path / "run", held_out=32, minutes=0, batch=8, validate_every=4, warmup=1, rate=1e-3, steps=12,
     )  # fmt: skip
 
 
 def test_sentences_name_what_their_clauses_are_made_of(config: ReaderTrainConfig) -> None:
     phrases = phrases_of(config.phrases)
-    composer = Composer(phrases, [("a person walks on", ("walk",))], 1)
+    composer = Composer(phrases, [WATCHED], 1)
     for sentence in (composer.sentence() for _ in range(500)):
         clauses = {clause for _, clause in sentence.pieces}
         assert sentence.text.strip()
         for action, clause, fields in sentence.said:
             assert action in phrases and clause in clauses
             assert all(-1 <= fields[name] <= len(values) for name, values in FIELDS.items())
-    again = Composer(phrases, [("a person walks on", ("walk",))], 1)
-    assert again.sentence().text == Composer(phrases, [("a person walks on", ("walk",))], 1).sentence().text
+    again = Composer(phrases, [WATCHED], 1)
+    assert again.sentence().text == Composer(phrases, [WATCHED], 1).sentence().text
 
 
 def test_batches_have_what_the_encoder_reads() -> None:
@@ -76,12 +76,13 @@ def test_a_run_learns_and_goes_on(config: ReaderTrainConfig, monkeypatch: pytest
     rows: list[dict[str, float]] = []
     path = training.train_reader(config, rows.append)
     assert [row["step"] for row in rows] == [4, 8, 12] and rows[-1]["validation"] < rows[0]["validation"]
-    assert {"walk", "jump"} <= set(load_reader(path).actions) and "none" not in load_reader(path).actions
+    reader = load_reader(path)
+    assert {"walk", "jump"} <= set(reader.actions) and "none" not in reader.actions
     training.train_reader(ReaderTrainConfig(**{**vars(config), "steps": 13}), rows.append)
     assert rows[-1]["step"] == 13
-    begun = ReaderTrainConfig(**{**vars(config), "out": config.out / "more", "steps": 4, "begin": path})
+    begun = ReaderTrainConfig(**{**vars(config), "out": config.out / "more", "steps": 1, "begin": path, "rate": 1e-7})
     training.train_reader(begun, rows.append)
-    assert rows[-1]["validation"] < rows[0]["validation"]
+    assert rows[-1]["validation"] == pytest.approx(rows[2]["validation"], rel=0.03)  # but for the steps of int8
 
 
 def test_what_is_missing_is_said(config: ReaderTrainConfig, tmp_path: Path) -> None:
