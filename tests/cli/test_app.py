@@ -350,6 +350,11 @@ def test_wrong_options_are_one_sentence(fails, words, sentence):
     assert sentence in fails(*words)
 
 
+def test_options_of_a_part_of_a_command_carry_its_name(fails):
+    known = "train", "handles", "--cache", "nowhere", "--out", "out", "--loss.root-unit"
+    assert "could not convert string to float: 'big'" in fails(*known, "big")
+
+
 def test_first_attempts_are_answered_sensibly(fails, good, monkeypatch):
     monkeypatch.chdir(good.parent)
     assert "where a sentence is expected; the character comes first" in fails("animate", "walks", good.name)

@@ -219,7 +219,9 @@ def _options(kind: Any) -> Iterator[tuple[set[str], bool]]:
         hint = hints[field.name]
         notes = getattr(hint, "__metadata__", ())
         if is_dataclass(getattr(hint, "__origin__", hint)):
-            yield from _options(getattr(hint, "__origin__", hint))
+            prefix = field.name.replace("_", "-")  # which the parser keeps where the command does not leave it out
+            for names, single in _options(getattr(hint, "__origin__", hint)):
+                yield names | {f"--{prefix}.{name[2:]}" for name in names if name.startswith("--")}, single
             continue
         names = {f"--{field.name.replace('_', '-')}"}
         for note in notes:
