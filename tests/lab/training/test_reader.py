@@ -29,7 +29,7 @@ def config(tmp_path: Path) -> ReaderTrainConfig:
     (tmp_path / "captions_asked.tsv").write_text("", encoding="utf-8")
     return ReaderTrainConfig(
         phrases=(tmp_path / "phrases.tsv",), data=tmp_path,
-        out=tmp_path / "run", held_out=32, minutes=0, batch=8, validate_every=4, warmup=1, rate=1e-3, steps=12,
+        out=tmp_path / "run", held_out=32, minutes=0, batch=8, validate_every=8, warmup=4, rate=3e-3, steps=24,
     )  # fmt: skip
 
 
@@ -75,11 +75,11 @@ def test_a_run_learns_and_goes_on(config: ReaderTrainConfig, monkeypatch: pytest
     monkeypatch.setattr(training, "POOL", 32)
     rows: list[dict[str, float]] = []
     path = training.train_reader(config, rows.append)
-    assert [row["step"] for row in rows] == [4, 8, 12] and rows[-1]["validation"] < rows[0]["validation"]
+    assert [row["step"] for row in rows] == [8, 16, 24] and rows[-1]["validation"] < rows[0]["validation"]
     reader = load_reader(path)
     assert {"walk", "jump"} <= set(reader.actions) and "none" not in reader.actions
-    training.train_reader(ReaderTrainConfig(**{**vars(config), "steps": 13}), rows.append)
-    assert rows[-1]["step"] == 13
+    training.train_reader(ReaderTrainConfig(**{**vars(config), "steps": 25}), rows.append)
+    assert rows[-1]["step"] == 25
     begun = ReaderTrainConfig(**{**vars(config), "out": config.out / "more", "steps": 1, "begin": path, "rate": 1e-7})
     training.train_reader(begun, rows.append)
     assert rows[-1]["validation"] == pytest.approx(rows[2]["validation"], rel=0.03)  # but for the steps of int8
