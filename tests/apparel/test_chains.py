@@ -9,14 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from bunraku import load_character, save_character, transfer, with_skeleton
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.apparel.chains.avatars import (
-    between_frames,
-    fitted_springs,
-    link_turns,
-    mmd_avatar,
-    vrm_avatar,
-    vrm_steps,
-)
+from bunraku.apparel.chains.avatars import between_frames, fitted_springs, link_turns, mmd_avatar, vrm_avatar, vrm_steps
 from bunraku.apparel.chains.chain import (
     Chain,
     LaidShape,

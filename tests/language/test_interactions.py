@@ -72,27 +72,13 @@ def test_a_thing_is_on_the_side_that_is_said():
 @pytest.mark.parametrize(
     "text",
     [
-        "a person opens his arms",
-        "turns to the left",
-        "turns the page of a book",
-        "hands on hips",
-        "gives a speech",
-        "gives basketball signals by hand",
-        "holds a box",
-        "washes hands in the sink",
-        "brushes her hair",
-        "cleans the floor with a mop",  # sweeps
-        "walks and pats a dog",
-        "a person shuffles as if drunk",
-        "strokes with trunk rotation to the left",
-        "rests on the bed",
-        "looks at a telescope",
-        "strokes his beard",
-        "pats her head",
-        "turns the contraption",
-        "an open-hand strike",
+        "a person opens his arms", "turns to the left", "turns the page of a book", "hands on hips",
+        "gives a speech", "gives basketball signals by hand", "holds a box", "washes hands in the sink",
+        "brushes her hair", "cleans the floor with a mop", "walks and pats a dog", "a person shuffles as if drunk",
+        "strokes with trunk rotation to the left", "rests on the bed", "looks at a telescope", "strokes his beard",
+        "pats her head", "turns the contraption", "an open-hand strike",
     ],
-)
+)  # fmt: skip
 def test_what_is_no_deed_at_a_thing_or_not_all_that_is_done_is_none(text):
     assert read_as(Contact, text) is None
 
@@ -159,20 +145,12 @@ def test_the_ground_is_read(text, ground):
 @pytest.mark.parametrize(
     "text",
     [
-        "walks along the river",
-        "jumps over a log",
-        "climbs a rope",
-        "climbs a ladder",
-        "runs through the snow",
-        "sneaks through the tall grass",
-        "crawls over the ice",
-        "a martial artist steps around into a deep stance",
-        "walks across the room",
-        "pushes a button",
-        "walks backwards through the snow",
+        "walks along the river", "jumps over a log", "climbs a rope", "climbs a ladder", "runs through the snow",
+        "sneaks through the tall grass", "crawls over the ice", "a martial artist steps around into a deep stance",
+        "walks across the room", "pushes a button", "walks backwards through the snow",
         "walks through the snow and waves",
     ],
-)
+)  # fmt: skip
 def test_other_ways_and_what_nobody_walks_on_are_none(text):
     assert read_as(Terrain, text) is None
 
@@ -209,19 +187,11 @@ def test_hands_and_places_are_read(text, hands, stations):
 @pytest.mark.parametrize(
     "text",
     [
-        "a person raises the left arm",
-        "a person lifts the right leg",
-        "takes a step to the left",
-        "takes a bow",
-        "a person puts on a hat",
-        "moves to the left",
-        "puts the hands on the hips",
-        "a person picks up a ball and throws it",
-        "a person walks and carries a box",
-        "holds a plank",
-        "waves",
+        "a person raises the left arm", "a person lifts the right leg", "takes a step to the left", "takes a bow",
+        "a person puts on a hat", "moves to the left", "puts the hands on the hips",
+        "a person picks up a ball and throws it", "a person walks and carries a box", "holds a plank", "waves",
     ],
-)
+)  # fmt: skip
 def test_what_is_no_thing_or_not_all_that_is_done_is_not_handled(text):
     assert told(text) is None
 
@@ -307,18 +277,11 @@ def test_what_hands_meet_is_as_low_as_that_and_what_is_not_known_is_straight_ahe
 @pytest.mark.parametrize(
     "text",
     [
-        "looks at his watch",
-        "looks around the room",
-        "looks over his shoulder",
-        "looks for a house",
-        "shades his eyes and looks at the sea",
-        "walks and looks at the sea",
-        "looks to the left",
-        "looks up at the sky",
-        "looks tired",
-        "looks at his hands",
+        "looks at his watch", "looks around the room", "looks over his shoulder", "looks for a house",
+        "shades his eyes and looks at the sea", "walks and looks at the sea", "looks to the left",
+        "looks up at the sky", "looks tired", "looks at his hands",
     ],
-)
+)  # fmt: skip
 def test_gestures_of_looking_and_what_is_done_beside_it_are_none(text):
     assert read_as(Gaze, text) is None
 
