@@ -80,10 +80,7 @@ def test_hands_at_the_thighs_give_way_to_wide_hips():
 def test_hands_away_from_the_body_are_left_alone(factor):
     motion = posed(0.0, 0.0)
     character, handles = wide(factor)
-    plain, kept = (
-        fit_motion(motion, Anatomy.of(character, handles), PLAIN),
-        fit_motion(motion, Anatomy.of(character, handles), HANDS),
-    )
+    plain, kept = (fit_motion(motion, Anatomy.of(character, handles), stages) for stages in (PLAIN, HANDS))
     assert np.abs(plain.rotations - kept.rotations).max() < 1e-5
 
 
