@@ -244,7 +244,8 @@ class Examples:
     """
     captions: Path | None = None
     """Folder with captions_watched.json and captions_asked.tsv: with --add-to, the pack gets the sentences that ask for
-    its stretches, and the stretches of --data that show what it does not, in place of those that others replace best.
+    its stretches, and, where --data exists, its stretches that show what the pack does not, in place of those that
+    others replace best.
     """
 
     def run(self) -> None:

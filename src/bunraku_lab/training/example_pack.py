@@ -47,6 +47,7 @@ from bunraku_lab.datasets.motions.clips import action_labels, load_watched, pack
 from bunraku_lab.description.phrases import runs
 from bunraku_lab.description.wording import computed_sentence, inside
 from bunraku_lab.nn.text import embed_sentences
+from bunraku_lab.training.rows.banks import batched
 from bunraku_lab.training.rows.clip_rows import ClipSet, Mixture, standing_stretches
 from bunraku_lab.training.rows.clips import ClipEntry, load_clips
 
@@ -167,7 +168,8 @@ class ExampleSettings:
         add_to: A pack that is written again with the gestures that it lacks, and with the vectors of `ranker` where
             those are of another; no captured clips are needed, but for idles and busy people where it has none.
         captions: Folder with `captions_watched.json` and `captions_asked.tsv`: the pack of `add_to` gets the sentences
-            in which people ask for its stretches, and the stretches of `data` that show what it does not.
+            in which people ask for its stretches, and, where there is `data`, its stretches that show what the pack
+            does not.
         motion: Bytes of captured motion that such a pack may have.
     """
 
@@ -211,7 +213,7 @@ def build_examples(
     progress = progress or (lambda stage, done: None)
     path = settings.ranker or shipped_checkpoint("ranker")
     ranker = load_ranker(path)
-    encoder = encoder or text_encoder(ranker.config.text_encoder)
+    encoder = encoder or batched(text_encoder(ranker.config.text_encoder))
     if settings.add_to is not None:
         return _with_what_it_lacks(settings, ranker, encoder, progress)
     clips = _people(settings, progress)
@@ -287,14 +289,12 @@ def _with_what_it_lacks(
             said = {word.text for entry in own.values() for text in entry["texts"] for word in words_of(text)}
             write_own_words(settings.out.parent, {word for word in said if not is_known(word)} | own_words())
     if settings.captions is not None:
-        asked = _asked(settings.captions)
-        base = _with_asked(base, asked, ranker, encoder)
+        base = _with_asked(base, _asked(settings.captions), ranker, encoder)
+    if settings.captions is not None and settings.data.exists():
         clips = _people(settings, progress)
         shown = {one.name for one in base.examples}
         rows = ClipSet(clips, FeatureStatistics.measure([entry["features"] for entry in clips.values()]))
-        captured = [
-            one._replace(asked=asked.get(one.texts[0], ())) for one in _stretches(rows, clips) if one.name not in shown
-        ]
+        captured = [one for one in _stretches(rows, clips) if one.name not in shown]
         base, captured = _widest(base, captured, ranker, encoder, settings.motion)
         licences.update(str(clips[one.name].get("licence", "unknown")) for one in captured)
         found += captured
@@ -435,7 +435,7 @@ def _stretches(rows: ClipSet, clips: Mapping[str, ClipEntry]) -> Iterator[_Stret
     for clip in rows.clips:
         if clip.watched and len(clip.values) <= LONGEST and clip.weight >= 0.5:
             kind = "action: " + " and ".join(clip.actions)
-            yield _Stretch(clip.name, kind, clip.texts, clips[clip.name]["features"], clip.loop)
+            yield _Stretch(clip.name, kind, clip.texts, clips[clip.name]["features"], clip.loop, asked=clip.asked)
 
 
 def _events(rows: ClipSet, seed: int) -> Iterator[_Stretch]:

@@ -212,7 +212,7 @@ def test_captions_by_time_make_stretches_and_what_is_done_once_is_not_looped(swi
     entry = index["clips"]["waves_0"]
     entry["stretches"] = [
         {"start": 0, "stop": 25, "texts": ["a person raises an arm and then lowers it", "raise arm"]},
-        {"start": 25, "stop": 60, "texts": ["a person waves", "wave"]},
+        {"start": 25, "stop": 60, "texts": ["a person waves", "wave"], "asked": ["make him wave with the left hand"]},
         {"start": 40, "stop": 60, "texts": ["a person is frozen"], "fault": "frozen"},
     ]
     (swings / "index.json").write_text(json.dumps(index))
@@ -224,6 +224,8 @@ def test_captions_by_time_make_stretches_and_what_is_done_once_is_not_looped(swi
     found = {clip.name: clip for clip in ClipSet(clips, statistics, "train").clips}
     assert found["waves_0@0"].loop is None  # "then" is not true of a motion that is played twice
     assert found["waves_0@0"].actions == ("raise arm",) and found["waves_0@25"].actions == ("wave",)
+    assert "make him wave with the left hand" in found["waves_0@25"].sentences()
+    assert "make him wave with the right hand" in found["waves_0@25"].sentences(mirrored=True)
 
 
 def test_who_lies_is_not_straightened_by_what_cuts_off_faults_of_capture(features):

@@ -6,8 +6,9 @@ import pytest
 from bunraku.errors import OptionError, WeightsError
 from bunraku.generation.extractor import RANKER, ExtractorConfig, load_extractor
 from bunraku.generation.features import mirror
-from bunraku.language.encoders import CUES
+from bunraku.language.encoders import CUES, text_encoder
 from bunraku_lab.training.matching import RankerTrainConfig, alike, corrupted, train_ranker
+from bunraku_lab.training.rows.banks import batched
 
 TINY = ExtractorConfig(width=16, layers=1, heads=2, feedforward=16, embedding=8, dropout=0.0)
 
@@ -64,6 +65,16 @@ def test_sentences_are_read_by_the_encoder_that_is_asked_for(swings, tmp_path):
     config = RankerTrainConfig(data=swings, out=tmp_path / "run", minutes=0, steps=1, batch=4, bf16=False, network=cued)
     found = load_extractor(train_ranker(config), kind=RANKER).config
     assert (found.text_encoder, found.pooled_size) == ("all-MiniLM-L6-v2+cues", 384 + len(CUES))
+
+
+def test_sentences_side_by_side_are_those_of_each_alone():
+    alone = text_encoder("all-MiniLM-L6-v2+cues")
+    sentences = ["a person waves", "Sword_Slash_01", "walks left", "she lowers herself slowly onto the chair", "jump"]
+    together = batched(alone).encode(sentences)
+    for row, sentence in enumerate(sentences):
+        one = alone.encode([sentence])
+        np.testing.assert_allclose(together.tokens[row][together.mask[row]], one.tokens[0], atol=1e-4)
+        np.testing.assert_allclose(together.pooled[row], one.pooled[0], atol=1e-5)
 
 
 def test_a_run_goes_on_from_the_weights_of_another_in_their_units(swings, encoder, tmp_path):

@@ -390,7 +390,8 @@ def checked(
         return {"start": stretch.start, "stop": stretch.stop, "texts": list(stretch.texts), "fault": fault}
     fault = fault or ("a T-pose in the middle" if posed[part].any() else None)
     fault = fault or posture_fault(list(stretch.texts), motion.root_translation[part, 1], lowest[part])
-    return {"start": start, "stop": stop, "texts": list(stretch.texts)} | ({"fault": fault} if fault else {})
+    said = {"start": start, "stop": stop, "texts": list(stretch.texts), "asked": list(stretch.asked)}
+    return said | ({"fault": fault} if fault else {})
 
 
 def between_held_poses(motion: HandleMotion) -> tuple[int, int]:

@@ -147,6 +147,10 @@ def joins_of(clips: Sequence[TrainingClip], statistics: FeatureStatistics) -> Jo
 
 FEWEST_CLIPS, MOST_CLIPS = 20, 150
 """Bounds between which an action is drawn more often the more clips show it."""
+ASKED = 0.4
+"""Share of a stretch's own rows that have a sentence in which people ask for it. Chosen, not measured: the other
+sentences are what the tables and the examples are compared by.
+"""
 _BLEND = 8
 
 
@@ -346,6 +350,8 @@ class ClipSet:
         own = random.random() < (
             0.5 if clip.watched else 0.3 if clip.species else 0.0
         )  # as written, by those who know the clip
+        if clip.asked and random.random() < ASKED:
+            variants, own = clip.asked, False
         sentence = (
             clip.texts[int(random.integers(len(clip.texts)))] if own else variants[int(random.integers(len(variants)))]
         )

@@ -34,6 +34,7 @@ class ClipEntry(TypedDict, total=False):
     frames: int
     split: str
     texts: list[str]
+    asked: list[str]
     labels: list[str]
     watched: bool
     weight: float
@@ -145,7 +146,8 @@ def _stretches(name: str, entry: Mapping[str, object], features: np.ndarray) -> 
     for part, after in zip_longest(sound, sound[1:]):
         start, stop = int(part["start"]), int(part["stop"])
         own: dict[str, Any] = {
-            "texts": part["texts"], "watched": True, "features": features[start:stop], "frames": stop - start,
+            "texts": part["texts"], "asked": part.get("asked", []), "watched": True,
+            "features": features[start:stop], "frames": stop - start,
         }  # fmt: skip
         if len(sound) == 1:
             own["labels"] = entry.get("texts") or []
@@ -283,6 +285,7 @@ class TrainingClip:
         values: Normalised features, shape (N, D), float32.
         texts: Its captions: labels as the archive has them, or sentences of what was watched.
         watched: The captions were written from watching just this; the fullest is first, the tersest last.
+        asked: Sentences in which people ask for what was watched.
         labels: Labels of the archive for a watched clip, used where they say the same.
         weight: The index's own weight.
         loop: Frames (i, j) such that playing on from j after i is smooth and true to the captions; None without.
@@ -298,6 +301,7 @@ class TrainingClip:
     values: np.ndarray
     texts: tuple[str, ...]
     watched: bool = False
+    asked: tuple[str, ...] = ()
     labels: tuple[str, ...] = ()
     weight: float = 1.0
     loop: tuple[int, int] | None = None
@@ -333,7 +337,8 @@ class TrainingClip:
     def sentences(self, mirrored: bool = False) -> tuple[str, ...]:
         """All sentences that the captions give."""
         if self.watched:
-            return stretch_variants(self.texts, agreeing(self.texts, self.labels), mirrored)
+            asked = tuple(map(mirror_words, self.asked)) if mirrored else self.asked
+            return (*stretch_variants(self.texts, agreeing(self.texts, self.labels), mirrored), *asked)
         labels = ("",) if self.species else self.texts
         return tuple(
             dict.fromkeys(
@@ -367,9 +372,9 @@ class TrainingClip:
                 ):
                     loop = (i, j)
             ends_at_rest = rests(values[-END:], statistics)
-        labels = tuple(entry.get("labels") or ())
+        asked, labels = tuple(entry.get("asked") or ()), tuple(entry.get("labels") or ())
         return cls(
-            name, values, texts, watched, labels, float(entry.get("weight", 1.0)), loop, ends_at_rest,
+            name, values, texts, watched, asked, labels, float(entry.get("weight", 1.0)), loop, ends_at_rest,
             entry.get("next"), creature[0], creature[1], creature[2], bool(entry.get("rehearsed")),
         )  # fmt: skip
 
