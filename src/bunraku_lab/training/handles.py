@@ -203,8 +203,8 @@ def _joined(
         normals=np.concatenate([mesh.normals, normals]).astype(np.float32),
         areas=np.concatenate([mesh.areas, np.full(added, step * step)]).astype(np.float32) / np.float32(scale**2),
         edges=np.concatenate([mesh.edges, edges + count, bridges]),
-        weights=np.concatenate([mesh.weights, np.tile(like[0], (added, 1))]),
-        target=np.concatenate([mesh.target, np.tile(like[1], (added, 1))]),
+        weights=np.concatenate([mesh.weights, np.tile(like[0], (added, 1)).astype(np.float32)]),
+        target=np.concatenate([mesh.target, np.tile(like[1], (added, 1)).astype(np.float32)]),
         root=((mesh.root - middle) / scale).astype(np.float32), height=float((high - low)[1] / scale),
         posed=((np.concatenate([mesh.posed, posed], axis=1) - middle) / scale).astype(np.float32),
     )  # fmt: skip

@@ -217,8 +217,10 @@ def test_a_base_goes_with_the_root_and_a_prop_with_its_hand():
     rng, body = np.random.default_rng(3), worm()
     handles = np.array([0, HANDLE_NAMES.index("spine2"), HANDLE_NAMES.index("left_wrist")])
     mesh = plain_mesh(dataclasses.replace(body, handles=handles, target=handle_target(body.weights, handles)), rng)
+    mesh = dataclasses.replace(mesh, weights=mesh.weights.astype(np.float32), target=mesh.target.astype(np.float32))
     count = len(mesh.vertices)
     based, held = on_base(mesh, rng), with_prop(mesh, rng)
+    assert based.target.dtype == held.weights.dtype == np.float32  # what the network computes with
     base = slice(count, None)
     assert len(based.vertices) > count < len(held.vertices)
     assert (based.target[base, 0] == 1).all() and np.ptp(based.vertices, axis=0).max() == pytest.approx(1, abs=1e-5)
