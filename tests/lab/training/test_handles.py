@@ -214,7 +214,7 @@ def test_damage_is_random_but_repeatable(mesh):
 
 def test_a_base_goes_with_the_root_and_a_prop_with_its_hand():
     """The base rests in poses in which the root does; the prop keeps its shape and its distance to the hand."""
-    rng, body = np.random.default_rng(3), worm()
+    rng, body = np.random.default_rng(3), worm(count=200)
     handles = np.array([0, HANDLE_NAMES.index("spine2"), HANDLE_NAMES.index("left_wrist")])
     mesh = plain_mesh(dataclasses.replace(body, handles=handles, target=handle_target(body.weights, handles)), rng)
     mesh = dataclasses.replace(mesh, weights=mesh.weights.astype(np.float32), target=mesh.target.astype(np.float32))
