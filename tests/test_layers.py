@@ -24,27 +24,27 @@ LABORATORY = ("nn", "description", "synthetic", "baselines", "datasets", "traini
 """Rooms of the laboratory, which stands on all of the other house."""
 BUDGET = {
     "bunraku/errors": (46, 1),
-    "bunraku/core": (4057, 30),  # arguments of public functions are checked, corrections by hand, the denoiser's layers
-    "bunraku/files": (9003, 43),  # samples for the tasks page, long chains of bones
-    "bunraku/language": (3678, 21),  # the reader, beside the rules that it has not replaced yet
-    "bunraku/anatomy": (4187, 20),  # what stands beside a body, rigs known by their skin, corrections by hand
-    "bunraku/gestures": (1788, 9),
-    "bunraku/retarget": (3381, 21),  # bones of MMD that take over others' rotations, swimming, clips of animals
-    "bunraku/generation": (2993, 20),  # the verifier
-    "bunraku/render": (1339, 9),  # videos of takes side by side
-    "bunraku/apparel": (5347, 29),
-    "bunraku/pipelines": (2131, 15),  # a character that never stops, looks and reaches
+    "bunraku/core": (4091, 29),  # arguments of public functions are checked, corrections by hand, the denoiser's layers
+    "bunraku/files": (9059, 43),  # samples for the tasks page, long chains of bones
+    "bunraku/language": (3696, 21),  # the reader, beside the rules that it has not replaced yet
+    "bunraku/anatomy": (4134, 20),  # what stands beside a body, rigs known by their skin, corrections by hand
+    "bunraku/gestures": (1785, 8),
+    "bunraku/retarget": (3387, 21),  # bones of MMD that take over others' rotations, swimming, clips of animals
+    "bunraku/generation": (2994, 14),  # the verifier
+    "bunraku/render": (1336, 7),  # videos of takes side by side
+    "bunraku/apparel": (5379, 29),
+    "bunraku/pipelines": (2129, 12),  # a character that never stops, looks and reaches
     "bunraku/bunraku": (93, 1),
-    "bunraku/studio": (3908, 24),  # Live, corrections by hand, bounds on every number of a record
-    "bunraku/cli": (2828, 15),  # characters of a file to choose from, wrong options in one sentence
+    "bunraku/studio": (3906, 24),  # Live, corrections by hand, bounds on every number of a record
+    "bunraku/cli": (2842, 15),  # characters of a file to choose from, wrong options in one sentence
     "bunraku/__main__": (122, 1),
-    "bunraku_lab/nn": (1428, 11),
+    "bunraku_lab/nn": (1454, 11),
     "bunraku_lab/description": (766, 5),
     "bunraku_lab/synthetic": (5940, 30),
     "bunraku_lab/baselines": (510, 3),
-    "bunraku_lab/datasets": (3758, 21),
-    "bunraku_lab/training": (7117, 41),  # the pack of clips of animals
-    "bunraku_lab/evaluation": (4221, 29),
+    "bunraku_lab/datasets": (3796, 21),
+    "bunraku_lab/training": (7358, 41),  # the pack of clips of animals
+    "bunraku_lab/evaluation": (4222, 29),
     "bunraku_lab/cli": (745, 7),
     "bunraku_lab/bunraku_lab": (0, 1),
 }

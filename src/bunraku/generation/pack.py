@@ -95,7 +95,7 @@ class Example:
 
 
 class Said(NamedTuple):
-    """What an example shows: its actions by people who read its sentences, where it is shipped, else by the lexicon."""
+    """What an example shows: of a shipped one actions that were labelled by hand, else what the lexicon reads."""
 
     actions: frozenset[str]  # what they agree on (`main_actions`)
     # cues, traits: of all of them

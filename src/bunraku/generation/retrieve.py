@@ -181,7 +181,7 @@ def _retrieved(
     sided = any(cue.startswith(("left", "right")) for cue in query.cues)
     gait = bool(clause.actions) and query.actions <= {"walk", "run"}
     least = WALKING if gait else least or LEAST
-    read = pack.readings is not None and bool(clause.actions) and not gait  # by people
+    read = pack.readings is not None and bool(clause.actions) and not gait  # labelled by hand
     exact = np.array([read and said.actions == query.actions for said in pack.said], bool)
     found = []
     for mirrored in (False, True):

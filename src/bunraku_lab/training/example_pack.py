@@ -318,7 +318,7 @@ def _with_what_it_lacks(
 
 
 def shown_by(examples: Sequence[Example]) -> list[Said]:
-    """What each example shows: of a captured stretch the actions that people found in its captions, of a gesture its
+    """What each example shows: of a captured stretch the actions that it is labelled with, of a gesture its
     own, of others what the lexicon reads.
     """
     labels, readings = action_labels(), []

@@ -124,7 +124,7 @@ def plain(sentence: str) -> str:
 
 @functools.cache
 def action_labels() -> dict[str, tuple[tuple[str, ...], tuple[str, ...]]]:
-    """The actions that people found in the captions of stretches, by "clip@first frame": those that it shows, in order,
+    """The actions that stretches were labelled with by hand, by "clip@first frame": those that it shows, in order,
     and further ones that only the fullest caption names.
     """
     table = Path(__file__).with_name("action_labels.tsv").read_text(encoding="utf-8")
