@@ -26,7 +26,7 @@ from bunraku.language.captions import mirror_words
 from bunraku.language.clauses import limbs_described
 from bunraku.language.encoders import TextBatch, TextEncoder, text_encoder
 from bunraku.language.interactions import Interaction, says_more
-from bunraku.language.lexicon import goes_ahead, lexicon
+from bunraku.language.lexicon import goes_ahead, is_cyclic, lexicon
 from bunraku.language.phrasing import tells_all
 from bunraku.language.posing import Posing, Stance
 from bunraku.language.sentence import Clause
@@ -248,7 +248,12 @@ def _apart(said: Said, mirrored: bool, query: Said, made: bool) -> float:
     """
     ways = (said.mirrored_cues if mirrored else said.cues) & _ADDED_WAYS - query.cues if made else frozenset[str]()
     rows = lexicon().actions
-    others = [one for one in (said.actions | said.besides) - query.actions if one not in rows or not rows[one].passing]
+    lasts = all(map(is_cyclic, query.actions))  # in what goes on, standing before it or after it disturbs, too
+    others = [
+        one
+        for one in (said.actions | said.besides) - query.actions
+        if lasts or one not in rows or not rows[one].passing
+    ]
     return len(others) + len(ways) + len(said.traits ^ query.traits) / 2
 
 
