@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bunraku.core.body.joint_rotations import skeleton_from_handles
-from bunraku.generation.composition import on_one_leg, unturned
+from bunraku.generation.composition import at_once, on_one_leg, unturned, warped
 from bunraku.generation.features import FeatureStatistics, decode, mirror
 from bunraku.generation.guide import (
     GuidanceExamples,
@@ -17,11 +17,11 @@ from bunraku.generation.guide import (
     laid_script,
     repeated,
     timed,
-    warped,
 )
 from bunraku.generation.networks import Networks, Texts
 from bunraku.generation.pack import ExamplePack
 from bunraku.generation.retrieve import Found
+from bunraku.generation.verifier import BEGUN, Track, onset
 from bunraku.language.parse import clause_of, parse
 from bunraku.language.posing import Manner
 from bunraku_lab.datasets.motions.clips import packed_stretch
@@ -75,6 +75,20 @@ def test_what_is_not_to_turn_is_straightened(pack):
     jerk = np.zeros((5, 271), np.float32)
     jerk[:, 0] = 0, 0, 0, 30, -6  # its mean over time goes the other way
     assert unturned(jerk, 20.0)[:, 0].sum() / 20 == pytest.approx(np.radians(20))
+
+
+def test_what_waits_before_it_begins_does_not_where_its_time_can_still_be_filled(pack):
+    wave = np.concatenate([pack.features(0)] * 2)
+    waits = wave[:1].repeat(25, axis=0)
+    waits[:, :3] = 0
+    late = np.concatenate([waits, wave])
+    script = [(clause_of("someone waves"), len(late))]
+    soon = at_once(late, script, 20.0)
+    begins = [onset(Track.of(decode(features))) for features in (late, soon)]
+    assert len(soon) == len(late) and begins[0] > 1.2 and begins[1] <= BEGUN
+    assert np.array_equal(at_once(soon, script, 20.0), soon)
+    still = [(clause_of("someone stands still"), len(late))]
+    assert np.array_equal(at_once(late, still, 20.0), late)
 
 
 def test_around_what_stops_in_midmotion_the_sampler_is_left_to_itself(pack, units):
@@ -144,8 +158,11 @@ def test_other_seeds_and_candidates_take_others_and_the_same_ones_the_same(pack)
     )
     script = [(clause_of("someone waves"), 60)]
     first, second, again = (examples.of(script, (7, 0), number) for number in (0, 1, 0))
-    assert first == again and {first.found[0].mirrored, second.found[0].mirrored} == {False, True}
-    assert len({examples.of(script, (seed, 0), 0).found[0].mirrored for seed in range(20)}) == 2
+    assert first == again and first.seed != second.seed and first.found == second.found
+    others = examples.of(script, (7, 0), 0, 0).found[0]  # where none of its own did what was asked
+    assert {first.found[0].mirrored, others.mirrored} == {False, True}
+    for seed in range(0, 20, 2):  # seeds in a row share no example
+        assert {examples.of(script, (seed, row), 0).found[0].mirrored for row in (0, 1)} == {False, True}
     assert examples.of([(clause_of("jumps"), 60)], (7, 0), 0) is None
 
 

@@ -21,7 +21,7 @@ from bunraku.core.request import GUIDANCE as GUIDANCE_LIMIT
 from bunraku.core.request import STEPS as STEP_LIMIT
 from bunraku.core.travel import GroundPath
 from bunraku.errors import OptionError
-from bunraku.generation.composition import clause_spans, steadied, straightened, turned_as_asked
+from bunraku.generation.composition import at_once, clause_spans, steadied, straightened, turned_as_asked
 from bunraku.generation.denoiser import Denoiser
 from bunraku.generation.extractor import LONGEST, RADIUS, SHORTEST, Extractor, embed_motions
 from bunraku.generation.features import FEATURE_SIZE, FeatureStatistics, decode, root_velocities, standing_legs
@@ -328,6 +328,7 @@ def draw_candidates(
         if not loop and path is None:
             features = straightened(features, timed, model.config.fps)
             features = turned_as_asked(features, timed, model.config.fps)
+            features = at_once(features, timed, model.config.fps)
         limbs = examples[row][1]
         if limbs is not None and any(clause.limbs_meanwhile for clause in script):
             gesture = statistics.restore(limbs.on(own_lengths, sizes[row], statistics, closed=loop).values)

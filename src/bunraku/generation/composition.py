@@ -15,7 +15,7 @@ from bunraku.core.body.reference import reference_body
 from bunraku.core.geometry.curves import correlated, gaussian, smooth_step
 from bunraku.core.geometry.rotations import matrix_from_6d, matrix_to_6d
 from bunraku.generation.features import HANDLE_SIZE, ROOT_SIZE, FeatureStatistics, decode, feature_mask
-from bunraku.generation.verifier import Track, asks_to_turn
+from bunraku.generation.verifier import BEGUN, Track, asks_to_turn, onset
 from bunraku.language.posing import Posing
 from bunraku.language.sentence import Clause
 
@@ -28,6 +28,9 @@ INSIDE = np.radians(10)  # how far within the requested bounds it then ends
 TURN = np.radians(20)
 """Turn that is left to a motion that is not told to turn. On 144 takes none then turned by more than 60 degrees."""
 SWAY = 1.0  # standard deviation of the mean that counts as the course [s]; a stride sways within
+WAIT = 0.3  # s for which a motion may rest before it begins (`verifier.onset`)
+SHORTEST_LOOP = 12  # shorter loops are a part of a movement, half a punch [frames]
+SLOWED = 1.25  # largest factor by which what is done is slowed down to fill its time
 
 
 def steadied(features: np.ndarray, loop: bool = False) -> np.ndarray:
@@ -87,6 +90,34 @@ def unturned(features: np.ndarray, fps: float) -> np.ndarray:
     out = features.copy()
     out[:, 0] -= np.sign(angle) * excess * fps * along / along.sum()
     return out
+
+
+def waiting(features: np.ndarray, fps: float) -> int:
+    """Frames for which a motion (N, D) waits, until shortly before it begins."""
+    late = onset(Track.of(decode(features, fps))) - WAIT if len(features) >= SHORTEST_LOOP else 0.0
+    return max(round(late * fps), 0)
+
+
+def at_once(features: np.ndarray, script: Sequence[tuple[Clause, int]], fps: float) -> np.ndarray:
+    """A motion that begins as soon as is asked for (`verifier.BEGUN`), where what comes after the wait fills the time
+    of the first clause when it is slowed down a little; arguments as of `turned_as_asked`.
+    """
+    clause, part = next(clause_spans(script))
+    frames = len(features[part])
+    late = waiting(features[part], fps) if clause.actions != ("idle",) else 0
+    if late <= (BEGUN - WAIT) * fps or late > frames * (1 - 1 / SLOWED):
+        return features
+    return np.concatenate([warped(features[part][late:], frames), features[part.stop :]])
+
+
+def warped(features: np.ndarray, frames: int) -> np.ndarray:
+    """The same motion faster or slower, in so many frames, shape (frames, D)."""
+    at = np.linspace(0, len(features) - 1, frames)
+    low = np.minimum(at.astype(int), len(features) - 2)
+    share = (at - low)[:, None].astype(np.float32)
+    out = features[low] * (1 - share) + features[low + 1] * share
+    out[:, :3] *= (len(features) - 1) / max(frames - 1, 1)
+    return np.asarray(out, np.float32)
 
 
 def clause_spans(script: Iterable[tuple[Clause, int]]) -> Iterator[tuple[Clause, slice]]:

@@ -99,8 +99,10 @@ def generate_motions(
         led = guidance.led_by(script) or guidance.led_by(gestures)
         if number < plain and not led:
             return None, None
-        turn = index if led else attempt * (how.candidates - plain) + number - plain
-        return guidance.of(script, noise[row], turn), guidance.of(gestures, noise[row], turn)
+        turn, drawn = (number, how.candidates) if led else (number - plain, how.candidates - plain)
+        others = (attempt - 1) * drawn if attempt else None
+        first, meanwhile = (guidance.of(parts, noise[row], turn, others) for parts in (script, gestures))
+        return first, meanwhile
 
     def draw(rows: list[int], indices: list[int]) -> list[Candidate]:
         pairs = [(noise[row][0], noise[row][1] + _APART * index) for row, index in zip(rows, indices, strict=True)]

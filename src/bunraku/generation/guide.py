@@ -10,11 +10,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bunraku.core.geometry.curves import smooth_step
-from bunraku.generation.composition import END, held, join_point, on_one_leg, overlaid, played, rests, splice, unturned
-from bunraku.generation.features import FEATURE_SIZE, FeatureStatistics, decode, encode, feature_weights, mirror
+from bunraku.generation.composition import (
+    END,
+    SHORTEST_LOOP,
+    SLOWED,
+    held,
+    join_point,
+    on_one_leg,
+    overlaid,
+    played,
+    rests,
+    splice,
+    unturned,
+    waiting,
+    warped,
+)
+from bunraku.generation.features import FEATURE_SIZE, FeatureStatistics, encode, feature_weights, mirror
 from bunraku.generation.pack import FPS, ExamplePack
 from bunraku.generation.retrieve import MOST_TIMES, Found, retrieve
-from bunraku.generation.verifier import Track, onset
 from bunraku.gestures.catalogue import STANDING, at_part
 from bunraku.gestures.interactions import interaction_gesture
 from bunraku.gestures.limb_gesture import in_stance, limb_gesture
@@ -26,8 +39,8 @@ from bunraku.language.sentence import Clause
 if TYPE_CHECKING:
     from bunraku.gestures.pose import Gesture
 
-HURRY, SLOWED = 1.35, 1.25
-"""Largest factors by which an example that is done once is sped up and slowed down to fill its time; chosen by eye."""
+HURRY = 1.35
+"""Largest factor by which an example that is done once is sped up to fill its time; chosen by eye."""
 TEMPO = (0.93, 1.08)  # factors between which a loop is drawn longer: two seeds of one example differ; chosen by eye
 # Chosen by eye on sheets of generated motion.
 UPRIGHT = 0.9  # of the root's axis, in a person who stands
@@ -35,9 +48,7 @@ _LEAD = 10  # most frames of standing before an action that is done once: it beg
 CROUCH = 0.12  # height [m] by which a person who stands is lower at most
 AIRBORNE = 0.1  # height of the root over standing [m] from which on a body cannot stay
 GOES = 1.0  # speed [m/s] of a person who walks on
-WAIT = 0.3  # s for which an example may rest before it begins (`verifier.onset`); chosen by eye
 EASE = 0.6  # share of a pose's change that is left from frame to frame where a motion comes to rest
-SHORTEST_LOOP = 12  # shorter loops are a part of a movement, half a punch [frames]
 NEAR = 1.0
 """Difference of two poses, in network units, up to which rest is joined to standing; a motion that stands in its midst
 is joined whatever it is. The sampler repairs what is between.
@@ -104,15 +115,18 @@ def laid(
         features = overlaid(seated, features, ("upper body", "arms", "head"))
     example = pack.examples[found.number]
     if example.loop is None:
-        features = _begun(features)
+        late = waiting(features, FPS)
+        features = features[late:] if late < len(features) - SHORTEST_LOOP else features
     # what the network may have seen as little of as the ranker, and what says the same, leads to the end
     made = np.full(frames, example.unranked or found.close)
     if found.times > 1 and not closed:
         features = repeated(features[: int(HURRY * frames / found.times)], found.times)
     loop = _loop(pack, found)
     if loop is None and found.times == 1 and not (closed or manner.lasts):
-        shorter = int(random.integers(min(2 * _FADE, frames // 2) + 1))
-        features = timed(features, frames - shorter, 1 if manner.count else MOST_TIMES)
+        most = min(2 * _FADE, frames // 2)
+        shorter = int(random.integers(most + 1))  # of two seeds one is slower
+        slowed = SLOWED - (SLOWED - TEMPO[1]) * shorter / max(most, 1)
+        features = timed(features, frames - shorter, 1 if manner.count else MOST_TIMES, slowed)
     if closed:
         share = np.full(frames, loop is not None, np.float32)
         features = features[:1].repeat(frames, axis=0) if loop is None else circled(features, loop, frames)
@@ -236,12 +250,6 @@ def _rise(frames: int) -> np.ndarray:
     return smooth_step(np.clip(1 - (frames - np.arange(frames)) / _FADE, 0, 1)).astype(np.float32)
 
 
-def _begun(features: np.ndarray) -> np.ndarray:
-    """A motion (N, D) from shortly before it begins."""
-    late = round((onset(Track.of(decode(features, FPS))) - WAIT) * FPS)
-    return features[late:] if 0 < late < len(features) - SHORTEST_LOOP else features
-
-
 def repeated(features: np.ndarray, times: int) -> np.ndarray:
     """A motion so many times in a row, each cross-faded into the next, shape (M, D)."""
     fade = min(_FADE, len(features) // 3)
@@ -251,19 +259,9 @@ def repeated(features: np.ndarray, times: int) -> np.ndarray:
     return out
 
 
-def warped(features: np.ndarray, frames: int) -> np.ndarray:
-    """The same motion faster or slower, in so many frames, shape (frames, D)."""
-    at = np.linspace(0, len(features) - 1, frames)
-    low = np.minimum(at.astype(int), len(features) - 2)
-    share = (at - low)[:, None].astype(np.float32)
-    out = features[low] * (1 - share) + features[low + 1] * share
-    out[:, :3] *= (len(features) - 1) / max(frames - 1, 1)
-    return np.asarray(out, np.float32)
-
-
-def timed(features: np.ndarray, frames: int, most: int) -> np.ndarray:
+def timed(features: np.ndarray, frames: int, most: int, slowed: float = SLOWED) -> np.ndarray:
     """A motion (N, D) that is done once, made to fill so many frames: as often as needed, at most `most` times, and
-    faster or slower by at most `HURRY` and `SLOWED`. What ends in a run, at another height or in another pose than it
+    faster or slower by at most `HURRY` and `slowed`. What ends in a run, at another height or in another pose than it
     began is done once.
     """
     first, last = features[0, 3:], features[-1, 3:]
@@ -273,7 +271,7 @@ def timed(features: np.ndarray, frames: int, most: int) -> np.ndarray:
     fade = min(_FADE, len(features) // 3)
     lengths = np.arange(1, most + 1) * (len(features) - fade) + fade
     out = repeated(features, int(np.abs(np.log(lengths / frames)).argmin()) + 1)
-    length = int(np.clip(frames, len(out) / HURRY, len(out) * SLOWED))
+    length = int(np.clip(frames, len(out) / HURRY, len(out) * slowed))
     return warped(out, length) if length != len(out) else out
 
 
@@ -328,10 +326,9 @@ class GuidanceExample:
 
 
 NEARER = 0.05
-"""Scale of the numbers from a Gumbel distribution that are added to the examples' scores: of two whose scores differ by
-.04, the nearer one is then first in 69 % of the seeds. Measured on six pairs of seeds of "sword slash": with .02, two
-were alike to 3 cm.
-"""
+"""Scale of the numbers from a Gumbel distribution that are added to the examples' scores from the second deal on."""
+SHARED = 4
+"""Seeds in a row among which the examples are dealt, so that no two of them have the same."""
 NEAREST = 3
 ALIKE = 1.0  # further distance of poses from the nearest up to which others may begin, too
 TRIED = 3  # examples that are considered for one
@@ -340,6 +337,18 @@ SIDES = ("left", "right")
 PACES = {"slow": 0.72, "fast": 1.35}  # tempo of a gesture by its adverb; chosen by eye
 ODD = 4.9
 """Distance from standing people's poses at which no motion begins; that of a kick at its height was measured as 4.8."""
+
+
+def dealt(scores: Sequence[float], seed: int) -> tuple[list[int], int]:
+    """The order in which a seed takes examples, and how many of them are its own. They are dealt like cards, the
+    nearest first, among `SHARED` seeds in a row, and for the next seeds in another order.
+    """
+    seeds = max(min(SHARED, len(scores)), 1)
+    deal, own = divmod(seed, seeds)
+    drawn = np.random.default_rng(deal).gumbel(size=len(scores)) if deal else np.zeros(len(scores))
+    order = np.argsort(-(np.array(scores) + NEARER * drawn), kind="stable").tolist()
+    hands = [order[start::seeds] for start in range(seeds)]
+    return [index for hand in hands[own:] + hands[:own] for index in hand], len(hands[own])
 
 
 class GuidanceExamples:
@@ -395,21 +404,27 @@ class GuidanceExamples:
             for found in self._found.get(clause.text, [])[:1]
         )
 
-    def of(self, script: Sequence[tuple[Clause, int]], noise: tuple[int, int], number: int) -> GuidanceExample | None:
-        """The examples that a candidate starts from, by its number among those that do; None where no clause has one.
-        Seed and row of the motion's noise order the examples.
+    def of(
+        self, script: Sequence[tuple[Clause, int]], noise: tuple[int, int], number: int, others: int | None = None
+    ) -> GuidanceExample | None:
+        """The examples that a candidate starts from; None where no clause has one.
+
+        Args:
+            script: The clauses with their frames.
+            noise: Seed and row of the motion's noise, for which the examples are `dealt`.
+            number: The candidate's number among those that start from one.
+            others: How many of other seeds' examples were taken before, where none that starts from one of its own did
+                what was asked; None where these are its own.
         """
         seed = (noise[0] % 2**63, noise[1] % 2**63)
-        random = np.random.default_rng(seed)
         chosen: list[Found | None] = []
         for clause, frames in script:
             offered = self._found.get(clause.text, [])
             fitting = [one for one in offered if fits_into(self.pack, one, frames)] or offered
             if chosen and chosen[-1] is not None:
                 fitting = self._following(chosen[-1], fitting)
-            scores = np.array([one.score for one in fitting]) + NEARER * random.gumbel(size=len(fitting))
-            order = np.argsort(-scores).tolist()  # the nearest first, but not always
-            first = number % max(len(order), 1)
+            order, own = dealt([example.score for example in fitting], sum(seed))
+            first = number % max(own, 1) if others is None else (own + others + number) % max(len(order), 1)
             turn = [fitting[index] for index in order[first:] + order[:first]][:TRIED]
             chosen.append(next((one for one in turn if not self._begins_oddly(one)), turn[0]) if turn else None)
         if not any(chosen):

@@ -111,7 +111,7 @@ _TURN, _SWAY = np.radians(45), np.radians(90)
 """How far a body may turn that is not told to, from the first frame to the last and to and fro. Chosen on 144 takes: no
 take then turned by more than 60 degrees, and the ranker's mean cosine fell by .01.
 """
-_BEGUN = 0.7  # s until a motion has begun; of the same 144 takes, 1 % then began later than a second
+BEGUN = 0.7  # s until a motion has begun; of the same 144 takes, 1 % then began later than a second
 _LATE = 0.8  # s later, nothing of the claim is left; the same
 _LIVELY = 0.4  # m/s, mean speed of the body's points in a slow walk, from which on any motion has begun
 _DONE = 0.3  # m/s, of the fastest point in what is done once, slowly; chosen by eye
@@ -326,7 +326,7 @@ def _same_posture(clause: Clause, track: Track) -> float | None:
 def _begins(clause: Clause, track: Track) -> float | None:
     if clause.actions == ("idle",):
         return None
-    return 1 - max(onset(track) - _BEGUN, 0) / _LATE
+    return 1 - max(onset(track) - BEGUN, 0) / _LATE
 
 
 def _done(clause: Clause, track: Track) -> float | None:
