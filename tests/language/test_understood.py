@@ -12,6 +12,7 @@ import pytest
 
 from bunraku.errors import OptionError, WeightsError
 from bunraku.language.captions import conjugate, known_phrases
+from bunraku.language.parse import parse
 from bunraku.language.understood import check_understood, understood
 from bunraku.language.vocabulary import corrected, own_words, slips, write_own_words
 
@@ -69,6 +70,12 @@ def test_what_says_no_movement_is_refused_with_sentences_that_do(sentence):
     said = str(refused.value)
     assert found.nearest[0] in said and "force" not in said and (found.unknown[0].word in said or sentence in said)
     assert check_understood(sentence, force=True) is found
+
+
+def test_of_words_that_exist_something_is_guessed_and_said():
+    assert not understood("hostage").ok and check_understood("hostage").unknown
+    (clause,) = (sentence := parse("hostage")).clauses
+    assert clause.actions and f"'{clause.actions[0]}' is a guess" in sentence.notes[-1]
 
 
 @pytest.mark.parametrize(

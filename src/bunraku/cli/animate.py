@@ -378,13 +378,13 @@ def _check_quotes(words: Sequence[str]) -> None:
     """Raise OptionError where words that are clips of their own make sense as a sentence only."""
     from bunraku.language.parse import parse
 
-    def clear(text: str) -> bool:
-        sentence = parse(text, 2.0, True)
-        return not (sentence.notes or sentence.unknown)
-
     if len(words) > 1 and all(word.isalpha() for word in words):
         whole = " ".join(words)
-        if not all(map(clear, words)) and clear(whole):
+        sentences = [parse(text, 2.0, True) for text in (whole, *words)]
+        clear, *each = (not (sentence.notes or sentence.unknown) for sentence in sentences)
+        # nobody asks for clips that all show the one action of the whole
+        acts = [{action for clause in sentence.clauses for action in clause.actions} for sentence in sentences]
+        if clear and not (all(each) and any(said != acts[0] or len(said) > 1 for said in acts)):
             raise OptionError(f'a sentence of several words stands in quotes: "{whole}"')
 
 

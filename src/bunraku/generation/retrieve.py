@@ -248,7 +248,8 @@ def _apart(said: Said, mirrored: bool, query: Said, made: bool) -> float:
     """
     ways = (said.mirrored_cues if mirrored else said.cues) & _ADDED_WAYS - query.cues if made else frozenset[str]()
     rows = lexicon().actions
-    lasts = all(map(is_cyclic, query.actions))  # in what goes on, standing before it or after it disturbs, too
+    # in what goes on, standing before it or after it disturbs, too
+    lasts = all(map(is_cyclic, query.actions)) and "halts" not in query.traits
     others = [
         one
         for one in (said.actions | said.besides) - query.actions

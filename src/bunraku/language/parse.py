@@ -83,11 +83,14 @@ def parse(prompt: str, seconds: float = 6.0, force: bool = False) -> Sentence:
 
 def _notes(clauses: Sequence[Clause], texts: Sequence[str], unknown: Sequence[object], done: set[str]) -> Iterator[str]:
     """What of some texts is not done in their clauses, beside some actions. Unknown words are told elsewhere."""
-    from bunraku.language.reader import frames_of
+    from bunraku.language.reader import LIKELIEST, frames_of
 
     for clause in clauses:
         frames = [frame for told in clause.parts or (clause, *clause.voices) for frame in told.frames]
         done |= {frame.action for frame in frames} | set(clause.actions)
+        for frame in frames:
+            if frame.probability < LIKELIEST:
+                yield f"nothing known is named in '{clause.text}'; '{frame.action}' is a guess"
         if not (frames or unknown or clause.detail or clause.locomotion):
             yield f"nothing known is named in '{clause.text}'; its motion is a guess"
     read = {frame.action: None for text in texts if len(clauses) > 1 for frame in frames_of(text)}
@@ -167,10 +170,12 @@ def clause_of(text: str, seconds: float = 0.0) -> Clause:
 
 
 def _clause(text: str, seconds: float, voices: tuple[Clause, ...] = (), parts: tuple[Clause, ...] = ()) -> Clause:
-    from bunraku.language.reader import frames_of  # numpy
+    from bunraku.language.reader import frames_of, guess_of  # numpy
 
     person, (subject, predicate) = split.of_person(text), subject_of(text)
-    frames, phrased = frames_of(person), actions_of(person)
+    frames, phrased, interaction = frames_of(person), actions_of(person), interaction_of(person)
+    if not (frames or interaction or locomotion_of(predicate) or split.limbs_described(text)):
+        frames = (guess,) if (guess := guess_of(person)) else ()
     cues, traits = _with_fields(said_cues(person), frames), said_traits(person)
     actions = tuple(frame.action for frame in frames)
     counts = [int(frame.fields["count"]) for frame in frames if "count" in frame.fields]
@@ -179,7 +184,7 @@ def _clause(text: str, seconds: float, voices: tuple[Clause, ...] = (), parts: t
     return Clause(
         text, seconds, subject, person, actions, split.moved_part(text), locomotion_of(predicate), cues, traits,
         _turn(frames), straight, count_of(person) or next(iter(counts), None),
-        added_words(predicate, actions) if set(actions) <= set(phrased) else (), interaction_of(person),
+        added_words(predicate, actions) if set(actions) <= set(phrased) else (), interaction,
         stance=next((Stance(stance) for frame in frames if (stance := _meanwhile(frame))), None), voices=voices,
         parts=parts, frames=frames,
     )  # fmt: skip

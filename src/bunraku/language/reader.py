@@ -41,6 +41,10 @@ SURE, LIKELIEST = 0.56, 0.38
 composed sentences: what is said is exact for .57 and .55 of them, and nothing is said in .60 and .80 of those that name
 nothing; with .5 and .26 it is .60 and .58, but .55 and .70.
 """
+GUESSED = 0.1
+"""Probability from which the likeliest action is shown as a guess where none is read. Of 336 held-out phrases in which
+none is read, 263 are then shown as something, 91 of them as what they name; of 58 that name nothing, 30.
+"""
 _CUES = {
     "direction forward": "forward", "direction backward": "backwards", "direction left": "left go",
     "direction right": "right go", "direction forward-left": "forward, left go",
@@ -164,6 +168,23 @@ class Reader:
             index = self.actions.index(action)
             frames.append(Frame(action, min(float(sure[index]), 1.0), float(at[index]), _fields(fields[index])))
         return sorted(frames, key=lambda frame: frame.at)
+
+
+@lru_cache(maxsize=4096)
+def guess_of(text: str) -> Frame | None:
+    """The action that is likeliest by the network alone; None where none is likely (`GUESSED`).
+
+    Args:
+        text: In English.
+    """
+    if not (plain := plain_words(text)):
+        return None
+    reader = load_reader()
+    logits, weight, fields = reader.heard(plain)
+    index, (factor, _, _, always) = int(logits.argmax()), reader.shares
+    sure = float(sigmoid(factor * logits[index] + always))
+    at = float(np.arange(len(weight)) @ weight[:, index])
+    return Frame(reader.actions[index], sure, at, _fields(fields[index])) if sure >= GUESSED else None
 
 
 @lru_cache(maxsize=4096)

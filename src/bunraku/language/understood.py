@@ -19,6 +19,7 @@ from bunraku.language.lexicon import in_known_words, lexicon
 from bunraku.language.lexicon import words_of as words_in
 from bunraku.language.prompts import check_prompt, narrow, plain_words
 from bunraku.language.sentence import UnknownWord
+from bunraku.language.tokenizer import word_pieces
 from bunraku.language.vocabulary import FUNCTION_WORDS, corrected, says_action, words_of
 from bunraku.language.word_table import LANGUAGES
 
@@ -210,11 +211,17 @@ def check_understood(prompt: str, force: bool = False) -> Understanding:
         force: Take it even where nothing of it is understood.
 
     Raises:
-        NotUnderstood: No movement in it is understood, and `force` is false; the message names its words and the
-            nearest sentences that are understood.
+        NotUnderstood: No movement in it is understood, none is likely, and `force` is false; the message names its
+            words and the nearest sentences that are understood.
     """
+    from bunraku.language.reader import guess_of  # numpy
+
     found = understood(prompt)
     if found.ok or force:
+        return found
+    # of words that exist, something may be guessed: the text encoder has them whole
+    real = not found.denied and all(one.word.lower() in word_pieces() for one in found.unknown)
+    if real and guess_of(found.english) is not None:
         return found
     if found.denied:
         raise NotUnderstood(
