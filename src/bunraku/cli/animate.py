@@ -382,7 +382,7 @@ def _check_quotes(words: Sequence[str]) -> None:
         whole = " ".join(words)
         sentences = [parse(text, 2.0, True) for text in (whole, *words)]
         clear, *each = (not (sentence.notes or sentence.unknown) for sentence in sentences)
-        # nobody asks for clips that all show the one action of the whole
+        # clips that all show the one action of the whole are not what is asked for
         acts = [{action for clause in sentence.clauses for action in clause.actions} for sentence in sentences]
         if clear and not (all(each) and any(said != acts[0] or len(said) > 1 for said in acts)):
             raise OptionError(f'a sentence of several words stands in quotes: "{whole}"')
