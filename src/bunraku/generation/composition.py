@@ -28,9 +28,9 @@ INSIDE = np.radians(10)  # how far within the requested bounds it then ends
 TURN = np.radians(20)
 """Turn that is left to a motion that is not told to turn. On 144 takes none then turned by more than 60 degrees."""
 SWAY = 1.0  # standard deviation of the mean that counts as the course [s]; a stride sways within
-WAIT = 0.3  # s for which a motion may rest before it begins (`verifier.onset`)
+WAIT = 0.3  # s for which a motion may rest before it begins (`verifier.onset`); chosen by eye
 SHORTEST_LOOP = 12  # shorter loops are a part of a movement, half a punch [frames]
-SLOWED = 1.25  # largest factor by which what is done is slowed down to fill its time
+SLOWED = 1.25  # largest factor by which what is done is slowed down to fill its time; chosen by eye
 
 
 def steadied(features: np.ndarray, loop: bool = False) -> np.ndarray:
