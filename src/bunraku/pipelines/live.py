@@ -15,7 +15,6 @@ import numpy as np
 
 from bunraku.core.animation import AnimatedCharacter, Animation, RigAnimation
 from bunraku.core.character import Character
-from bunraku.core.geometry.curves import gaussian
 from bunraku.core.geometry.rotations import matrix_y
 from bunraku.core.motion import HandleMotion
 from bunraku.core.request import checked
@@ -37,8 +36,6 @@ KEPT = 60.0
 """Seconds of what was shown that are kept, chosen by eye."""
 TURN = math.radians(120)
 """Fastest rotation towards a direction [rad/s], chosen by eye: a person turns about in one and a half seconds."""
-STEPS = 0.5
-"""Speed from which on it turns so fast [m/s]; one that stands turns slowly, since its feet would slide. By eye."""
 
 
 @checked
@@ -280,13 +277,12 @@ def _steered(motion: HandleMotion, direction: tuple[float, float] | None) -> Han
     missing = heading - np.arctan2(faces[:, 0], faces[:, 2])
     missing = (missing + math.pi) % (2 * math.pi) - math.pi
     angles = np.zeros(len(motion))
-    path = motion.root_translation.astype(float)
-    speed = np.linalg.norm(np.diff(path[:, [0, 2]], axis=0, prepend=path[:1, [0, 2]]), axis=1) * motion.fps
-    steps = TURN / motion.fps * np.clip(gaussian(speed, 0.2 * motion.fps) / STEPS, 0.15, 1)
+    step = TURN / motion.fps
     for frame in range(1, len(motion)):  # at a bounded rate, and softly where little is missing
         toward = (missing[frame] - angles[frame - 1] + math.pi) % (2 * math.pi) - math.pi
-        angles[frame] = angles[frame - 1] + float(np.clip(0.25 * toward, -steps[frame], steps[frame]))
+        angles[frame] = angles[frame - 1] + float(np.clip(0.25 * toward, -step, step))
     turns = matrix_y(angles)
+    path = motion.root_translation.astype(float)
     moved = np.einsum("nij,nj->ni", turns[1:], np.diff(path, axis=0))
     path = np.concatenate([path[:1], path[:1] + np.cumsum(moved, axis=0)])
     return replace(motion, root_translation=path, root_rotation=turns @ motion.root_rotation)
