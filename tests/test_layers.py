@@ -33,7 +33,7 @@ BUDGET = {
     "bunraku/generation": (3034, 14),  # the verifier
     "bunraku/render": (1336, 7),  # videos of takes side by side
     "bunraku/apparel": (5379, 29),
-    "bunraku/pipelines": (2129, 12),  # a character that never stops, looks and reaches
+    "bunraku/pipelines": (2126, 12),  # a character that never stops, looks and reaches
     "bunraku/bunraku": (93, 1),
     "bunraku/studio": (3906, 24),  # Live, corrections by hand, bounds on every number of a record
     "bunraku/cli": (2842, 15),  # characters of a file to choose from, wrong options in one sentence
