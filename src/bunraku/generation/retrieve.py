@@ -37,6 +37,7 @@ NEAR = 0.12
 """Mean cosine by which an example may be farther than the nearest one. Chosen by eye, as are the next ones."""
 MOTION = 0.15  # share of the cosine with the motion in a score, beside that with the nearest sentence
 EXTRA = 0.04  # by which an example counts for less for each thing that it shows and that was not requested
+STANDS = 4  # things for which standing counts in an example of what goes on: others of the same action come first
 NEAR_MADE = 0.05  # the same where the nearest is made by code, since captured ones show its action less plainly
 LEAST = 0.65  # least mean cosine of an example that does not do the very actions
 WALKING = 0.8  # the same for plain walks and runs, which the network does well by itself
@@ -248,14 +249,11 @@ def _apart(said: Said, mirrored: bool, query: Said, made: bool) -> float:
     """
     ways = (said.mirrored_cues if mirrored else said.cues) & _ADDED_WAYS - query.cues if made else frozenset[str]()
     rows = lexicon().actions
-    # in what goes on, standing before it or after it disturbs, too
-    lasts = all(map(is_cyclic, query.actions)) and "halts" not in query.traits
-    others = [
-        one
-        for one in (said.actions | said.besides) - query.actions
-        if lasts or one not in rows or not rows[one].passing
-    ]
-    return len(others) + len(ways) + len(said.traits ^ query.traits) / 2
+    shown = (said.actions | said.besides) - query.actions
+    others = [one for one in shown if one not in rows or not rows[one].passing]
+    # in what goes on, standing before it or after it disturbs
+    stands = STANDS if "idle" in shown and all(map(is_cyclic, query.actions)) and "halts" not in query.traits else 0
+    return stands + len(others) + len(ways) + len(said.traits ^ query.traits) / 2
 
 
 def _lacks(pack: ExamplePack, index: int, mirrored: bool, clause: Clause) -> tuple[tuple[str, ...], str]:
