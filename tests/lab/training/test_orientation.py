@@ -51,7 +51,7 @@ def test_the_loss_is_the_cross_entropy_over_all_24(characters, tmp_path):
 
 
 def test_it_learns(characters, tmp_path):
-    trainer = OrientationTrainer(settings(tmp_path, steps=60, rate=3e-3, decay=0.8), characters)
+    trainer = OrientationTrainer(settings(tmp_path, steps=150, rate=3e-3, decay=0.8), characters)
     before = orientation_results(validate_orientation(trainer.model, characters, 1).reshape(-1, 24))
     while trainer.progress() < 1:
         trainer.train_step()
