@@ -30,7 +30,7 @@ BUDGET = {
     "bunraku/anatomy": (4134, 20),  # what stands beside a body, rigs known by their skin, corrections by hand
     "bunraku/gestures": (1785, 8),
     "bunraku/retarget": (3387, 21),  # bones of MMD that take over others' rotations, swimming, clips of animals
-    "bunraku/generation": (3034, 14),  # the verifier
+    "bunraku/generation": (3032, 14),  # the verifier
     "bunraku/render": (1336, 7),  # videos of takes side by side
     "bunraku/apparel": (5379, 29),
     "bunraku/pipelines": (2126, 12),  # a character that never stops, looks and reaches

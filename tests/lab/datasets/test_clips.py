@@ -205,9 +205,9 @@ def test_what_is_held_at_the_ends_of_a_take_is_left_out():
     motion = take(angles)
     start, stop = between_held_poses(motion)
     assert 30 <= start <= 40 and 100 <= stop <= 110
-    stretch = Stretch(0, 80, ("a person bends an arm",))
+    stretch = Stretch(0, 80, ("a person bends an arm",), asked=("bend your arm",))
     assert checked(stretch, motion, np.zeros(130), (start, stop)) == {
-        "start": start, "stop": 80, "texts": ["a person bends an arm"],
+        "start": start, "stop": 80, "texts": ["a person bends an arm"], "asked": ["bend your arm"],
     }  # fmt: skip
     still = checked(Stretch(0, 30, ("stands",)), motion, np.zeros(130), (start, stop))
     assert still["fault"] == "nothing but a pose that is held"
