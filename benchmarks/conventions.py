@@ -42,34 +42,27 @@ _SMPL = dict(zip(JOINT_NAMES, JOINT_NAMES, strict=True))
 _PLAIN = "pelvis hip knee ankle foot spine1 spine2 spine3 neck head collar shoulder elbow wrist"
 
 
-def _names(words: str, left: str, right: str) -> dict[str, str]:
-    """Names of SMPL's joints, by a word for each of `_PLAIN`, with something put before or after (`*`) for sides."""
+def _names(words: str, left: str, right: str, prefix: str = "") -> dict[str, str]:
+    """Names of SMPL's joints, by a word for each of `_PLAIN`, with something put before or after (`*`) for sides, and
+    a prefix before all.
+    """
     out = {}
     for plain, word in zip(_PLAIN.split(), words.split(), strict=True):
         for name in JOINT_NAMES:
             if name == plain:
-                out[name] = word
+                out[name] = prefix + word
             for side, mark in (("left", left), ("right", right)):
                 if name == f"{side}_{plain}":
-                    out[name] = mark.replace("*", word)
+                    out[name] = prefix + mark.replace("*", word)
     return out
 
 
-MIXAMO = {
-    name: f"mixamorig:{word}"
-    for name, word in _names(
-        "Hips UpLeg Leg Foot ToeBase Spine Spine1 Spine2 Neck Head Shoulder Arm ForeArm Hand", "Left*", "Right*"
-    ).items()
-}
-MOTION_BUILDER = _names(
-    "Hips UpLeg Leg Foot ToeBase Spine Spine1 Spine2 Neck Head Shoulder Arm ForeArm Hand", "Left*", "Right*"
+_AUTODESK = "Hips UpLeg Leg Foot ToeBase Spine Spine1 Spine2 Neck Head Shoulder Arm ForeArm Hand"
+MIXAMO = _names(_AUTODESK, "Left*", "Right*", "mixamorig:")
+MOTION_BUILDER = _names(_AUTODESK, "Left*", "Right*")
+BIPED = _names(
+    "Pelvis Thigh Calf Foot Toe0 Spine Spine1 Spine2 Neck Head Clavicle UpperArm Forearm Hand", "L *", "R *", "Bip01 "
 )
-BIPED = {
-    name: f"Bip01 {word}"
-    for name, word in _names(
-        "Pelvis Thigh Calf Foot Toe0 Spine Spine1 Spine2 Neck Head Clavicle UpperArm Forearm Hand", "L *", "R *"
-    ).items()
-}
 UNREAL = _names(
     "pelvis thigh calf foot ball spine_01 spine_02 spine_03 neck_01 head clavicle upperarm lowerarm hand", "*_l", "*_r"
 )

@@ -274,7 +274,6 @@ def draw_candidates(
         critic: Guides them towards their sentences; None for no guidance.
     """
     from bunraku.core.nn.layers import one_thread
-    from bunraku.generation.candidates import Candidate, script_verdict
     from bunraku.generation.composition import PartTrack, with_limbs
     from bunraku.generation.sampler import Steering, plan_windows, sample_plans
 
