@@ -20,7 +20,7 @@ from bunraku.generation.guide import (
 )
 from bunraku.generation.networks import Networks, Texts
 from bunraku.generation.pack import ExamplePack
-from bunraku.generation.retrieve import Found
+from bunraku.generation.retrieve import Found, Retrieved
 from bunraku.generation.verifier import BEGUN, Track, onset
 from bunraku.language.parse import clause_of, parse
 from bunraku.language.posing import Manner
@@ -116,7 +116,7 @@ def test_who_goes_on_does_not_stand_before_or_after(pack, units):
         ("a person walks and stops", False),
     ):
         clause = clause_of(sentence)
-        examples._found = {clause.text: [KICK]}
+        examples._retrieved = {clause.text: Retrieved([KICK])}
         assert examples.of([(clause, 100)], (0, 0), 0).manners[0].lasts is lasts
 
 
@@ -381,7 +381,7 @@ def offered(networks, prompt, seed=0):
 def test_a_gesture_that_leaves_out_what_is_added_is_not_used_and_it_is_said(networks, prompt, lacking):
     found, clauses = known(networks, prompt)
     assert not any(one.made for seed in range(4) for one in offered(networks, prompt, seed)[0])
-    assert found.lacking(clauses[0]) == lacking
+    assert found.retrieved(clauses[0]).lacking == lacking
 
 
 def test_who_sits_with_crossed_legs_is_no_gesture_of_sitting(networks):
@@ -400,7 +400,7 @@ def test_legs_are_crossed_where_a_person_sits(networks, seat, texts):
 def test_a_thing_goes_through_its_places_or_is_picked_up_as_captured(networks):
     def of(prompt):
         found, clauses = known(networks, prompt)
-        return [one.detail for one in found._found[clauses[0].text]]
+        return [one.detail for one in found.retrieved(clauses[0]).found]
 
     assert [one.steps[-1].place for one in of("puts a box on a shelf to the left")] == [("high", "left")]
     assert of("a person picks up something from the floor")[0] is None
@@ -425,7 +425,7 @@ def test_a_thing_goes_through_its_places_or_is_picked_up_as_captured(networks):
 def test_a_gesture_is_done_where_the_sentence_says(networks, prompt, gesture, part):
     assert parse(prompt, force=True).corrected == ()
     found, clauses = known(networks, prompt)
-    assert found.lacking(clauses[0]) == ()
+    assert found.retrieved(clauses[0]).lacking == ()
     for seed in range(4):
         example = found.of([(clauses[0], 120)], (seed, 0), 0)
         (one,) = example.found

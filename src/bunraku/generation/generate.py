@@ -141,13 +141,13 @@ def generate_motions(
 
 def _left_out(guidance: GuidanceExamples, clause: Clause) -> str:
     """A line on what of a clause no motion, or no gesture, shows; "" for nothing."""
-    if instead := guidance.instead(clause):
+    if instead := guidance.retrieved(clause).instead:
         unknown = ", ".join(f"'{action}'" for action in clause.actions if action not in instead)
         return f"no motion of {unknown} is known; shown by what is nearest: {', '.join(instead)}"
     word, action = guidance.unseen(clause)
     if word:
         return f"no motion of '{word}' is known; this is one of '{action}'"
-    lacking = ", ".join(f"'{word}'" for word in guidance.lacking(clause))
+    lacking = ", ".join(f"'{word}'" for word in guidance.retrieved(clause).lacking)
     if not lacking:
         return ""
     return f"no gesture of '{clause.text}' has {lacking}; the network makes the motion, and may leave that out"

@@ -27,7 +27,7 @@ from bunraku.generation.composition import (
 )
 from bunraku.generation.features import FEATURE_SIZE, FeatureStatistics, encode, feature_weights, mirror
 from bunraku.generation.pack import FPS, ExamplePack
-from bunraku.generation.retrieve import MOST_TIMES, Found, retrieve
+from bunraku.generation.retrieve import MOST_TIMES, Found, Retrieved, retrieve
 from bunraku.gestures.catalogue import STANDING, at_part
 from bunraku.gestures.interactions import interaction_gesture
 from bunraku.gestures.limb_gesture import in_stance, limb_gesture
@@ -361,14 +361,15 @@ class GuidanceExamples:
 
     def __init__(self, pack: ExamplePack, clauses: Mapping[str, tuple[Clause, np.ndarray]]):
         self.pack = pack
-        retrieved = {text: retrieve(pack, *result) for text, result in clauses.items()}
-        self._found = {text: result.found for text, result in retrieved.items()}
-        self._lacking = {text: result.lacking for text, result in retrieved.items()}
-        self._instead = {text: result.instead for text, result in retrieved.items()}
+        self._retrieved = {text: retrieve(pack, *result) for text, result in clauses.items()}
+
+    def retrieved(self, clause: Clause) -> Retrieved:
+        """What fits a clause; nothing where it was not looked up."""
+        return self._retrieved.get(clause.text, Retrieved([]))
 
     def shows(self, clause: Clause) -> bool:
         """Whether there is an example for a clause."""
-        return bool(self._found.get(clause.text))
+        return bool(self.retrieved(clause).found)
 
     def parted(self, clause: Clause) -> tuple[Clause, ...]:
         """A clause in the parts that are done in a row, where no example shows it whole and one shows a part."""
@@ -376,17 +377,9 @@ class GuidanceExamples:
             return clause.parts
         return (clause,)
 
-    def lacking(self, clause: Clause) -> tuple[str, ...]:
-        """What a clause says beyond an action whose gestures leave that out, so that none of them is used."""
-        return self._lacking.get(clause.text, ())
-
-    def instead(self, clause: Clause) -> tuple[str, ...]:
-        """The actions by which a clause is shown whose own no example has; none otherwise."""
-        return self._instead.get(clause.text, ())
-
     def unseen(self, clause: Clause) -> tuple[str, str]:
         """A word for a clause's only action that no caption and no example has, and that action; "" and "" for none."""
-        found = self._found.get(clause.text, [])
+        found = self.retrieved(clause).found
         if len(clause.actions) != 1 or self.pack.made[[one.number for one in found]].any():
             return "", ""
         word = unseen_word(clause.person, clause.actions[0])
@@ -401,7 +394,7 @@ class GuidanceExamples:
         return any(
             self.pack.examples[found.number].unranked or found.close
             for clause, _ in script
-            for found in self._found.get(clause.text, [])[:1]
+            for found in self.retrieved(clause).found[:1]
         )
 
     def of(
@@ -419,7 +412,7 @@ class GuidanceExamples:
         seed = (noise[0] % 2**63, noise[1] % 2**63)
         chosen: list[Found | None] = []
         for clause, frames in script:
-            offered = self._found.get(clause.text, [])
+            offered = self.retrieved(clause).found
             fitting = [one for one in offered if fits_into(self.pack, one, frames)] or offered
             if chosen and chosen[-1] is not None:
                 fitting = self._following(chosen[-1], fitting)
