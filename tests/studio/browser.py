@@ -174,7 +174,7 @@ class Page:
 @contextlib.contextmanager
 def page_of(folder, sample, *size, **how):
     """The page of a studio of its own with a sample character that walks."""
-    from conftest import Studio
+    from studio_process import Studio
 
     studio = Studio(folder / "folder")
     try:

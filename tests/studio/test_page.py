@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser import CHROMIUM, ROOT, SECONDS, VITE, Page, chromium
-from conftest import Studio
 from scipy.spatial import cKDTree
+from studio_process import Studio
 
 from bunraku import load_character, save_character
 from bunraku.anatomy.anatomy import Anatomy

@@ -4,7 +4,7 @@ import math
 
 import pytest
 from browser import CHROMIUM, VITE, Page, chromium
-from conftest import Studio
+from studio_process import Studio
 
 pytest.importorskip("playwright", reason="the page is tested with playwright: make browser")
 if CHROMIUM is None or not VITE.exists():

@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from conftest import as_somebody, no_space
 from packed import unpacked_clip
+from studio_process import as_somebody, no_space
 
 import bunraku
 from bunraku.core.geometry.rotations import matrix_from_quaternion
