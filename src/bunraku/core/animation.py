@@ -249,18 +249,12 @@ def bone_order(parents: np.ndarray) -> list[int]:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PointAnimation(Shown):
-    """A skinned animation, and the distance of each vertex from where the skin takes it.
-
-    Args:
-        animation: The skinned part, N frames.
-        offsets: Displacement of each vertex from its skinned position, in the world [m], shape (N, V, 3).
-
-    Raises:
-        MotionError: The offsets have another shape, or a value is not finite.
+    """A skinned animation, and the distance of each vertex from where the skin takes it. MotionError if the offsets
+    have another shape, or a value is not finite.
     """
 
-    animation: Animation
-    offsets: np.ndarray
+    animation: Animation  # the skinned part, N frames
+    offsets: np.ndarray  # displacement of each vertex from its skinned position, in the world [m], shape (N, V, 3)
 
     def __post_init__(self) -> None:
         shape = (len(self.animation.motion), len(self.animation.character.vertices), 3)
@@ -325,10 +319,8 @@ def end_to_start(animations: Sequence[RigAnimation]) -> RigAnimation:
     """Join animations of the same rig into one, at the rate of the first.
 
     Each is moved over the ground and rotated about +Y so that its first pose lies as close as possible to the last pose
-    of the one before, by least squares over the heads of all bones. The remaining difference fades out.
-
-    Raises:
-        MotionError: They are of several characters.
+    of the one before, by least squares over the heads of all bones. The remaining difference fades out. MotionError if
+    they are of several characters.
     """
     first = animations[0]
     rotations, translations = [first.rotations], [first.translations]

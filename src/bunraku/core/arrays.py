@@ -23,11 +23,7 @@ FREE_BYTES = 16 << 20
 
 
 def read_npy(path: Path, data: bytes) -> np.ndarray:
-    """The array of a .npy file as float32.
-
-    Raises:
-        FormatError: The file is broken, or does not hold plain numbers.
-    """
+    """The array of a .npy file as float32. FormatError if the file is broken, or does not hold plain numbers."""
     try:
         return _plain(path, data, "")
     except (EOFError, OSError, TypeError, ValueError, SyntaxError):
@@ -36,11 +32,7 @@ def read_npy(path: Path, data: bytes) -> np.ndarray:
 
 @contextmanager
 def open_npz(path: Path, data: bytes) -> Iterator[zipfile.ZipFile]:
-    """The archive of an .npz file.
-
-    Raises:
-        FormatError: It is broken, or the code in the block finds it so.
-    """
+    """The archive of an .npz file. FormatError if it is broken, or the code in the block finds it so."""
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             if any(
@@ -81,16 +73,13 @@ def refuse_objects(path: Path, archive: zipfile.ZipFile) -> None:
 
 
 def read_member(path: Path, archive: zipfile.ZipFile, name: str, data_size: int) -> np.ndarray:
-    """One array of an .npz file as float32.
+    """One array of an .npz file as float32. FormatError if the array is too large, or does not hold plain numbers.
 
     Args:
         path: The file.
         archive: Its archive.
         name: The array's name.
         data_size: Size of the whole file [bytes], which bounds that of the array.
-
-    Raises:
-        FormatError: The array is too large, or does not hold plain numbers.
     """
     entry = archive.getinfo(f"{name}.npy")
     if entry.file_size > MAX_ARRAY_BYTES:
@@ -159,9 +148,7 @@ def unpack_steps(
     packed: Sequence[bytes], rows: Sequence[int], columns: int, order: int, filters: Sequence[dict[str, object]]
 ) -> np.ndarray:
     """Undo `pack_steps` for several arrays in bounded memory, one below the other, shape (sum of rows, columns), int64.
-
-    Raises:
-        ValueError: The bytes were not packed so, or have another shape.
+    ValueError if the bytes were not packed so, or have another shape.
     """
     out = np.empty((sum(rows), columns), np.int64)
     start = 0

@@ -17,136 +17,87 @@ _MIRROR = np.array([1.0, 1, -1])
 
 @dataclass(frozen=True)
 class MmdAppend:
-    """What a bone takes over from another bone's motion ("grant").
+    """What a bone takes over from another bone's motion ("grant")."""
 
-    Args:
-        bone: The bone that it takes from.
-        ratio: The share, which may be negative.
-        rotation, translation: What is taken over.
-        local: Whether the other bone's transform relative to its parent is taken, instead of its keys.
-    """
-
-    bone: int
-    ratio: float
+    bone: int  # the bone that it takes from
+    ratio: float  # the share, which may be negative
+    # rotation, translation: what is taken over
     rotation: bool
     translation: bool
-    local: bool = False
+    local: bool = False  # whether the other bone's transform relative to its parent is taken, instead of its keys
 
 
 @dataclass(frozen=True)
 class MmdIkLink:
-    """A bone that inverse kinematics rotate.
-
-    Args:
-        bone: The bone.
-        lower, upper: Limits of its angles about x, y, z [rad], shape (3,), or None where it rotates freely.
-    """
+    """A bone that inverse kinematics rotate."""
 
     bone: int
+    # lower, upper: limits of its angles about x, y, z [rad], shape (3,), or None where it rotates freely
     lower: np.ndarray | None = None
     upper: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
 class MmdIk:
-    """Inverse kinematics: the bone that has them is the goal for the target.
+    """Inverse kinematics: the bone that has them is the goal for the target."""
 
-    Args:
-        target: The bone that is brought to the goal, such as an ankle.
-        loops: Iterations.
-        limit: Largest rotation of a link in one step [rad].
-        links: The bones that rotate, from the target up.
-    """
-
-    target: int
-    loops: int
-    limit: float
-    links: tuple[MmdIkLink, ...]
+    target: int  # the bone that is brought to the goal, such as an ankle
+    loops: int  # iterations
+    limit: float  # largest rotation of a link in one step [rad]
+    links: tuple[MmdIkLink, ...]  # the bones that rotate, from the target up
 
 
 @dataclass(frozen=True)
 class MmdBone:
-    """A bone.
+    """A bone."""
 
-    Args:
-        name: Japanese name, by which motions know it.
-        english: English name, often empty.
-        position: Position in the rest pose [m], shape (3,).
-        parent: Index of its parent, -1 for none.
-        layer: Bones of higher layers are deformed later.
-        after_physics: Whether it is deformed after the rigid bodies have moved.
-        rotates, moves: Whether motions may rotate and move it.
-        tail: Where it points, from its position [m], shape (3,).
-        append: What it takes over from another bone's motion.
-        fixed_axis: The only axis that it rotates about, shape (3,), or None.
-        local_axes: Rows x, y, z for the handles of editors, shape (3, 3), or None.
-        ik: Inverse kinematics whose goal it is.
-    """
-
-    name: str
-    english: str
-    position: np.ndarray
-    parent: int
-    layer: int = 0
-    after_physics: bool = False
+    name: str  # Japanese name, by which motions know it
+    english: str  # English name, often empty
+    position: np.ndarray  # position in the rest pose [m], shape (3,)
+    parent: int  # index of its parent, -1 for none
+    layer: int = 0  # bones of higher layers are deformed later
+    after_physics: bool = False  # whether it is deformed after the rigid bodies have moved
+    # rotates, moves: whether motions may rotate and move it
     rotates: bool = True
     moves: bool = False
-    tail: np.ndarray | None = None
-    append: MmdAppend | None = None
-    fixed_axis: np.ndarray | None = None
-    local_axes: np.ndarray | None = None
-    ik: MmdIk | None = None
+    tail: np.ndarray | None = None  # where it points, from its position [m], shape (3,)
+    append: MmdAppend | None = None  # what it takes over from another bone's motion
+    fixed_axis: np.ndarray | None = None  # the only axis that it rotates about, shape (3,), or None
+    local_axes: np.ndarray | None = None  # rows x, y, z for the handles of editors, shape (3, 3), or None
+    ik: MmdIk | None = None  # inverse kinematics whose goal it is
 
 
 @dataclass(frozen=True)
 class MmdMorph:
-    """A morph without its offsets.
+    """A morph without its offsets."""
 
-    Args:
-        name: Japanese name.
-        kind: "group", "vertex", "bone", "uv", "material", "flip" or "impulse".
-        count: Number of its offsets.
-    """
-
-    name: str
-    kind: str
-    count: int
+    name: str  # Japanese name
+    kind: str  # "group", "vertex", "bone", "uv", "material", "flip" or "impulse"
+    count: int  # number of its offsets
 
 
 @dataclass(frozen=True)
 class MmdBody:
-    """A rigid body.
-
-    Args:
-        name: Its name.
-        bone: The bone that it goes with, -1 for none.
-        shape: "sphere", "box" or "capsule".
-        size: Radius of a sphere; half extents of a box; radius and distance between the ends' centres of a capsule
-            along y [m], shape (3,).
-        position: Its centre in the rest pose [m], shape (3,).
-        rotation: Its axes in the rest pose, columns, shape (3, 3).
-        mass: As in the file, 0 or more.
-        linear_damping, angular_damping: Share of the velocity that is lost in a second, as Bullet defines it.
-        restitution, friction: Coefficients, 0 to 1 as a rule.
-        mode: 0 follows its bone, 1 is moved by physics, 2 is rotated by physics and held at its bone.
-        group: Collision group, 0 to 15.
-        mask: Groups that it collides with, bit g for group g.
-    """
+    """A rigid body."""
 
     name: str
-    bone: int
-    shape: str
+    bone: int  # the bone that it goes with, -1 for none
+    shape: str  # "sphere", "box" or "capsule"
+    # radius of a sphere; half extents of a box; radius and distance between the ends' centres of a capsule along y [m],
+    # shape (3,)
     size: np.ndarray
-    position: np.ndarray
-    rotation: np.ndarray
-    mass: float
+    position: np.ndarray  # its centre in the rest pose [m], shape (3,)
+    rotation: np.ndarray  # its axes in the rest pose, columns, shape (3, 3)
+    mass: float  # as in the file, 0 or more
+    # linear_damping, angular_damping: share of the velocity that is lost in a second, as Bullet defines it
     linear_damping: float
     angular_damping: float
+    # restitution, friction: coefficients, 0 to 1 as a rule
     restitution: float
     friction: float
-    mode: int
-    group: int
-    mask: int
+    mode: int  # 0 follows its bone, 1 is moved by physics, 2 is rotated by physics and held at its bone
+    group: int  # collision group, 0 to 15
+    mask: int  # groups that it collides with, bit g for group g
 
     @property
     def dynamic(self) -> bool:
@@ -156,72 +107,50 @@ class MmdBody:
 
 @dataclass(frozen=True)
 class MmdJoint:
-    """A joint of six degrees of freedom between two rigid bodies, with springs.
-
-    Args:
-        name: Its name.
-        bodies: The two bodies, A and B.
-        position: Its position in the rest pose [m], shape (3,).
-        rotation: Its axes in the rest pose, columns, shape (3, 3).
-        lower, upper: Limits of B's displacement along the axes [m], shape (3,); an empty range (lower > upper) is free,
-            as Bullet defines it.
-        angle_lower, angle_upper: Limits of its angles about the axes [rad], shape (3,).
-        spring: Stiffness against displacement, as in the file (force over MMD's unit), shape (3,).
-        angle_spring: Stiffness against rotation, as in the file, shape (3,).
-    """
+    """A joint of six degrees of freedom between two rigid bodies, with springs."""
 
     name: str
-    bodies: tuple[int, int]
-    position: np.ndarray
-    rotation: np.ndarray
+    bodies: tuple[int, int]  # the two bodies, A and B
+    position: np.ndarray  # its position in the rest pose [m], shape (3,)
+    rotation: np.ndarray  # its axes in the rest pose, columns, shape (3, 3)
+    # lower, upper: limits of B's displacement along the axes [m], shape (3,); an empty range (lower > upper) is free,
+    # as Bullet defines it
     lower: np.ndarray
     upper: np.ndarray
+    # angle_lower, angle_upper: limits of its angles about the axes [rad], shape (3,)
     angle_lower: np.ndarray
     angle_upper: np.ndarray
-    spring: np.ndarray
-    angle_spring: np.ndarray
+    spring: np.ndarray  # stiffness against displacement, as in the file (force over MMD's unit), shape (3,)
+    angle_spring: np.ndarray  # stiffness against rotation, as in the file, shape (3,)
 
 
 @dataclass(frozen=True)
 class MmdSdef:
-    """Spherical deformation of S vertices; the rig has them as blends of two bones.
+    """Spherical deformation of S vertices; the rig has them as blends of two bones."""
 
-    Args:
-        vertices: Their indices, shape (S,).
-        center: C of each [m], shape (S, 3).
-        r0, r1: R0 and R1 of each, of its two bones [m], shape (S, 3).
-    """
-
-    vertices: np.ndarray
-    center: np.ndarray
+    vertices: np.ndarray  # their indices, shape (S,)
+    center: np.ndarray  # C of each [m], shape (S, 3)
+    # r0, r1: R0 and R1 of each, of its two bones [m], shape (S, 3)
     r0: np.ndarray
     r1: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
 class MmdModel:
-    """What a PMX or PMD file holds besides its mesh.
+    """What a PMX or PMD file holds besides its mesh."""
 
-    Args:
-        name, english: Names of the model; the English one is often empty.
-        version: "PMX 2.0", "PMX 2.1" or "PMD".
-        bones: Its bones, in the order of the rig's joints.
-        morphs, bodies, joints: Its morphs, rigid bodies and their joints.
-        deforms: How each vertex deforms: 0 BDEF1, 1 BDEF2, 2 BDEF4, 3 SDEF, 4 QDEF; shape (V,).
-        sdef: Constants of those that are SDEF.
-        warnings: What of the file was broken and left out or repaired, a sentence each.
-    """
-
+    # name, english: names of the model; the English one is often empty
     name: str
     english: str
-    version: str
-    bones: tuple[MmdBone, ...]
+    version: str  # "PMX 2.0", "PMX 2.1" or "PMD"
+    bones: tuple[MmdBone, ...]  # its bones, in the order of the rig's joints
+    # morphs, bodies, joints: its morphs, rigid bodies and their joints
     morphs: tuple[MmdMorph, ...]
     bodies: tuple[MmdBody, ...]
     joints: tuple[MmdJoint, ...]
-    deforms: np.ndarray
-    sdef: MmdSdef
-    warnings: tuple[str, ...] = ()
+    deforms: np.ndarray  # how each vertex deforms: 0 BDEF1, 1 BDEF2, 2 BDEF4, 3 SDEF, 4 QDEF; shape (V,)
+    sdef: MmdSdef  # constants of those that are SDEF
+    warnings: tuple[str, ...] = ()  # what of the file was broken and left out or repaired, a sentence each
 
     @property
     def parents(self) -> np.ndarray:
@@ -278,85 +207,53 @@ def mmd_angles(lower: Any, upper: Any) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True)
 class VrmSpringJoint:
-    """A node that swings.
+    """A node that swings."""
 
-    Args:
-        node: Its index.
-        stiffness: How strongly it returns to its rest pose.
-        gravity: How strongly it is drawn along `gravity_direction`.
-        gravity_direction: In the world, shape (3,).
-        drag: Share of its speed that it loses in a step, from 0 to 1.
-        radius: Of the ball that colliders push away [m].
-    """
-
-    node: int
-    stiffness: float
-    gravity: float
-    gravity_direction: np.ndarray
-    drag: float
-    radius: float
+    node: int  # its index
+    stiffness: float  # how strongly it returns to its rest pose
+    gravity: float  # how strongly it is drawn along `gravity_direction`
+    gravity_direction: np.ndarray  # in the world, shape (3,)
+    drag: float  # share of its speed that it loses in a step, from 0 to 1
+    radius: float  # of the ball that colliders push away [m]
 
 
 @dataclass(frozen=True)
 class VrmSpring:
-    """A chain that swings.
+    """A chain that swings."""
 
-    Args:
-        name: Its name, often empty.
-        joints: From the first to the last, each below the one before.
-        groups: The groups of colliders that it is kept out of.
-        center: The node whose motion does not count, -1 for none.
-        ends_free: Whether the last node swings as well, with a tail of 7 cm that the file leaves out (VRM 0.x).
-    """
-
-    name: str
-    joints: tuple[VrmSpringJoint, ...]
-    groups: tuple[int, ...]
-    center: int = -1
+    name: str  # its name, often empty
+    joints: tuple[VrmSpringJoint, ...]  # from the first to the last, each below the one before
+    groups: tuple[int, ...]  # the groups of colliders that it is kept out of
+    center: int = -1  # the node whose motion does not count, -1 for none
+    # whether the last node swings as well, with a tail of 7 cm that the file leaves out (VRM 0.x)
     ends_free: bool = False
 
 
 @dataclass(frozen=True)
 class VrmCollider:
-    """A body that springs are kept out of, or inside of.
+    """A body that springs are kept out of, or inside of."""
 
-    Args:
-        node: The node that carries it.
-        shape: "sphere", "capsule" or "plane".
-        offset: Its centre, one end, or a point of the plane, in the node's axes [m], shape (3,).
-        radius: In metres; 0 for a plane.
-        tail: The other end of a capsule, or the normal of a plane, in the node's axes, shape (3,); None for a sphere.
-        inside: Whether springs are kept inside.
-    """
-
-    node: int
-    shape: str
-    offset: np.ndarray
-    radius: float
+    node: int  # the node that carries it
+    shape: str  # "sphere", "capsule" or "plane"
+    offset: np.ndarray  # its centre, one end, or a point of the plane, in the node's axes [m], shape (3,)
+    radius: float  # in metres; 0 for a plane
+    # The other end of a capsule, or the normal of a plane, in the node's axes, shape (3,); None for a sphere.
     tail: np.ndarray | None = None
-    inside: bool = False
+    inside: bool = False  # whether springs are kept inside
 
 
 @dataclass(frozen=True, eq=False)
 class VrmModel:
-    """What a VRM file holds besides its meshes.
+    """What a VRM file holds besides its meshes."""
 
-    Args:
-        version: "0.x" or "1.0".
-        title: Name of the avatar.
-        humanoid: Node of each bone that VRM names ("hips", "leftUpperLeg" ...).
-        springs, colliders: The chains that swing, and all colliders.
-        groups: Colliders of each group.
-        warnings: What of the file was broken and left out, a sentence each.
-    """
-
-    version: str
-    title: str
-    humanoid: dict[str, int]
+    version: str  # "0.x" or "1.0"
+    title: str  # name of the avatar
+    humanoid: dict[str, int]  # node of each bone that VRM names ("hips", "leftUpperLeg" ...)
+    # springs, colliders: the chains that swing, and all colliders
     springs: tuple[VrmSpring, ...]
     colliders: tuple[VrmCollider, ...]
-    groups: tuple[tuple[int, ...], ...]
-    warnings: tuple[str, ...] = ()
+    groups: tuple[tuple[int, ...], ...]  # colliders of each group
+    warnings: tuple[str, ...] = ()  # what of the file was broken and left out, a sentence each
 
 
 def vrm_model(character: Any) -> VrmModel | None:

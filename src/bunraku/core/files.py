@@ -59,10 +59,8 @@ def open_input(path: Path) -> Iterator[BinaryIO]:
 
 
 def check_input(path: Path) -> int:
-    """Size of a file that can be read [bytes].
-
-    Raises:
-        FormatError: The file is missing, a folder, not a plain file, empty, or larger than `MAX_BYTES`.
+    """Size of a file that can be read [bytes]. FormatError if the file is missing, a folder, not a plain file, empty,
+    or larger than `MAX_BYTES`.
     """
     try:
         status = path.stat()
@@ -132,10 +130,8 @@ def path_inside(folder: Path, uri: str) -> Path | None:
 
 
 def check_output_folder(path: Path) -> None:
-    """Make sure that the folder of an output exists, creating its last level where only that is missing.
-
-    Raises:
-        FormatError: The folder cannot be created, or the path is a folder itself.
+    """Make sure that the folder of an output exists, creating its last level where only that is missing. FormatError if
+    the folder cannot be created, or the path is a folder itself.
     """
     if "\0" in str(path):
         raise FormatError(path, "the path holds a zero byte; choose another name")
@@ -158,14 +154,11 @@ def check_output_folder(path: Path) -> None:
 
 @contextmanager
 def writing(path: Path, what: str = "file") -> Iterator[None]:
-    """Turn the system's refusal of what a block writes into one sentence.
+    """Turn the system's refusal of what a block writes into one sentence. FormatError if the system refused.
 
     Args:
         path: The target, which the sentence names.
         what: What cannot be written.
-
-    Raises:
-        FormatError: The system refused.
     """
     try:
         yield
@@ -185,9 +178,7 @@ def share_file(path: Path, most: int = 0o666) -> None:
 @contextmanager
 def atomic_write(path: Path) -> Iterator[BinaryIO]:
     """A binary file beside the target that replaces it when the block ends, and vanishes when the block fails.
-
-    Raises:
-        FormatError: The folder is missing or cannot be written, or the disk is full.
+    FormatError if the folder is missing or cannot be written, or the disk is full.
     """
     check_output_folder(path)
     temporary = ""

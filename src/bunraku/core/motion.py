@@ -267,21 +267,11 @@ class HandleMotion(Saved):
 
 @dataclass(frozen=True, eq=False)
 class MeshMotion:
-    """Vertices of a mesh in each frame.
+    """Vertices of a mesh in each frame. MotionError if shapes disagree, a value is not finite, or there is no frame."""
 
-    Args:
-        vertices: Positions, +Y up and facing +Z in the first frame [m], shape (N, V, 3).
-        faces: Triangles, shape (F, 3).
-        fps: Frames a second [1/s].
-        name: Its name.
-
-    Raises:
-        MotionError: Shapes disagree, a value is not finite, or there is no frame.
-    """
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    fps: float = 20.0
+    vertices: np.ndarray  # positions, +Y up and facing +Z in the first frame [m], shape (N, V, 3)
+    faces: np.ndarray  # triangles, shape (F, 3)
+    fps: float = 20.0  # frames a second [1/s]
     name: str = "mesh"
 
     def __post_init__(self) -> None:
@@ -308,10 +298,7 @@ class MeshMotion:
 
 def resample_motion(motion: SkeletalMotion, fps: float) -> SkeletalMotion:
     """A skeletal motion of at least one frame at another rate [1/s], as far as it lasts: rotations take the short way
-    between frames, the root moves in straight lines.
-
-    Raises:
-        MotionError: The rate is not positive.
+    between frames, the root moves in straight lines. MotionError if the rate is not positive.
     """
     check_rate(fps)
     if abs(motion.fps - fps) < 1e-6 * fps:
@@ -323,11 +310,7 @@ def resample_motion(motion: SkeletalMotion, fps: float) -> SkeletalMotion:
 
 
 def checked_fps(fps: float | None, default: float) -> float:
-    """Frames a second of an output [1/s].
-
-    Raises:
-        OptionError: They are not a number from 1 to 1000.
-    """
+    """Frames a second of an output [1/s]. OptionError if they are not a number from 1 to 1000."""
     if fps is None:
         return float(default)
     try:

@@ -137,7 +137,8 @@ def run_parallel(
     """Do the work of all batches; yield each item with its result as soon as it is done.
 
     Even one job gets its own process with one thread: several threads add in another order, so bytes would differ.
-    Items whose worker died are tried once more, each by itself, so that only the faulty ones fail.
+    Items whose worker died are tried once more, each by itself, so that only the faulty ones fail. MissingExtraError if
+    ray is not installed.
 
     Args:
         work: A function of a module, or a `functools.partial` of one, from a batch to a result for each of its items.
@@ -145,9 +146,6 @@ def run_parallel(
         batches: The batches in order.
         jobs: Number of processes, or "ray" for a cluster of the package ray, whose machines must see the same files.
         lost: Makes a result of the sentence that says why there is none.
-
-    Raises:
-        MissingExtraError: ray is not installed.
     """
     if jobs == "ray":
         yield from _on_ray(work, batches, lost)

@@ -98,15 +98,13 @@ _COUNTS = {2: "two", 3: "three", 4: "four"}
 
 
 def read_json(data: bytes, name: str, most: int = MOST_BYTES) -> Any:
-    """The value of an untrusted JSON text. Its size in memory is bounded before it is parsed.
+    """The value of an untrusted JSON text. Its size in memory is bounded before it is parsed. OptionError if it is not
+    JSON, too large, or nested too deeply.
 
     Args:
         data: The text in UTF-8.
         name: Its name in messages.
         most: Largest number of bytes.
-
-    Raises:
-        OptionError: It is not JSON, too large, or nested too deeply.
     """
     if len(data) > most:
         raise OptionError(f"{name} has more than {most >> 20} MiB of JSON; leave out what is not needed")
@@ -147,10 +145,8 @@ def _no_constant(name: str) -> NoReturn:
 
 
 def to_json(thing: object) -> Any:
-    """A dataclass as a JSON object with a key for each field; arrays and tuples become lists.
-
-    Raises:
-        OptionError: A value has no such form.
+    """A dataclass as a JSON object with a key for each field; arrays and tuples become lists. OptionError if a value
+    has no such form.
     """
     if is_dataclass(thing) and not isinstance(thing, type):
         return {field.name: to_json(getattr(thing, field.name)) for field in fields(thing)}
@@ -166,17 +162,14 @@ def to_json(thing: object) -> Any:
 
 
 def from_json(kind: type[Kind], data: object, name: str = "") -> Kind:
-    """The dataclass of a JSON object.
+    """The dataclass of a JSON object. OptionError if a key is unknown or missing; a value is of another type, not
+    finite, or too large; or the class refuses the values.
 
     Args:
         kind: The dataclass. Its fields are numbers, `Annotated` with a `Limit` perhaps, texts, arrays, tuples of these,
             other dataclasses, or unions.
         data: What `json.loads` gave.
         name: Its name in messages.
-
-    Raises:
-        OptionError: A key is unknown or missing; a value is of another type, not finite, or too large; or the class
-            refuses the values.
     """
     name = name or kind.__name__.lower()
     if not isinstance(data, dict):
@@ -307,11 +300,7 @@ class Constraint:
 
     @classmethod
     def from_json(cls, data: object) -> Self:
-        """The constraint of a JSON object of this kind.
-
-        Raises:
-            OptionError: It is none.
-        """
+        """The constraint of a JSON object of this kind. OptionError if it is none."""
         if isinstance(data, dict):
             data = {key: value for key, value in data.items() if key != "kind"}
         return from_json(cls, data, f"the {cls.kind.replace('_', ' ')}")

@@ -145,18 +145,13 @@ _CHUNK = 2048
 
 @dataclass(frozen=True, eq=False)
 class RigidBones:
-    """B bones and the weights of M points.
+    """B bones and the weights of M points."""
 
-    Args:
-        rotations, translations: A point goes to `R p + t` [m], shapes (N, B, 3, 3) and (N, B, 3).
-        weights: At most four per point above 0, rows sum to 1, shape (M, B).
-        error: Largest distance of a point from its goal in any frame [m].
-    """
-
+    # rotations, translations: a point goes to `R p + t` [m], shapes (N, B, 3, 3) and (N, B, 3)
     rotations: np.ndarray
     translations: np.ndarray
-    weights: np.ndarray
-    error: float
+    weights: np.ndarray  # at most four per point above 0, rows sum to 1, shape (M, B)
+    error: float  # largest distance of a point from its goal in any frame [m]
 
 
 def decomposed(rest: np.ndarray, posed: np.ndarray, bones: int) -> RigidBones:
@@ -233,18 +228,12 @@ def _rotations(matrices: np.ndarray) -> np.ndarray:
 class _Products:
     """Products of where each bone alone takes the points and of where these go, summed over all frames: they give the
     squared error of any mixture without another look at the frames.
-
-    Args:
-        points: Homogeneous points, shape (M, 4).
-        square: Of where the points go, shape (M,).
-        cross: With where each bone takes them, shape (M, B).
-        bones: Of the bones with one another, shape (B, B, 4, 4).
     """
 
-    points: np.ndarray
-    square: np.ndarray
-    cross: np.ndarray
-    bones: np.ndarray
+    points: np.ndarray  # homogeneous points, shape (M, 4)
+    square: np.ndarray  # of where the points go, shape (M,)
+    cross: np.ndarray  # with where each bone takes them, shape (M, B)
+    bones: np.ndarray  # of the bones with one another, shape (B, B, 4, 4)
 
     @classmethod
     def of(cls, rest: np.ndarray, posed: np.ndarray, turns: np.ndarray, moves: np.ndarray) -> _Products:

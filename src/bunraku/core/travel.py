@@ -29,17 +29,12 @@ ASIDE = 0.05
 
 @dataclass(frozen=True)
 class GroundPath(Constraint):
-    """Points on the ground that a root passes.
-
-    Args:
-        points: x and z of each [m], at least two that differ.
-        times: When it passes each [s], rising from 0; None passes all at an even speed with a soft start and end.
-
-    Raises:
-        OptionError: Fewer than two points, times that do not rise, or numbers that make no sense.
+    """Points on the ground that a root passes. OptionError if there are fewer than two, times do not
+    rise, or numbers make no sense.
     """
 
-    points: tuple[tuple[float, float], ...]
+    points: tuple[tuple[float, float], ...]  # x and z of each [m], at least two that differ
+    # When it passes each [s], rising from 0; None passes all at an even speed with a soft start and end.
     times: tuple[float, ...] | None = None
 
     kind: ClassVar[str] = "path"
@@ -75,10 +70,8 @@ class GroundPath(Constraint):
         return GroundPath(tuple((x * scale, z * scale) for x, z in self.points), self.times)
 
     def positions(self, frames: int, fps: float) -> np.ndarray:
-        """Position of the root in each frame [m], shape (N, 2).
-
-        Raises:
-            OptionError: The path's last time is after the end of the clip.
+        """Position of the root in each frame [m], shape (N, 2). OptionError if the path's last time is after the end of
+        the clip.
         """
         points = np.asarray(self.points, float)
         seconds = max((frames - 1) / fps, 1e-9)

@@ -33,18 +33,12 @@ SAME = 1e-3
 
 @dataclass(frozen=True)
 class Clip:
-    """A handle motion as a file has it.
-
-    Args:
-        path: The file.
-        motion: The motion, in the frame of the character that it was made for.
-        reference: The reference body's motion that it was fitted from, where the file holds it.
-        positions: Rest positions of the character's handles [m], shape (K, 3), where the file holds them.
-    """
+    """A handle motion as a file has it."""
 
     path: Path
-    motion: HandleMotion
-    reference: HandleMotion | None
+    motion: HandleMotion  # the motion, in the frame of the character that it was made for
+    reference: HandleMotion | None  # the reference body's motion that it was fitted from, where the file holds it
+    # rest positions of the character's handles [m], shape (K, 3), where the file holds them
     positions: np.ndarray | None
 
     def is_of(self, handles: Handles) -> bool:
@@ -54,11 +48,7 @@ class Clip:
         return bool(np.abs(self.positions - handles.positions).max() <= SAME * np.ptp(handles.positions, axis=0).max())
 
     def of_the_reference_body(self) -> HandleMotion:
-        """The motion of the reference body.
-
-        Raises:
-            MotionError: The file holds that of another character only.
-        """
+        """The motion of the reference body. MotionError if the file holds that of another character only."""
         if self.reference is not None:
             return self.reference
         if self.positions is None or self.is_of(reference_body().handles):
@@ -74,11 +64,8 @@ class Clip:
 
 
 def load_clip(path: str | Path) -> Clip:
-    """Read a clip that Bunraku wrote, GLB or NPZ.
-
-    Raises:
-        FormatError: The file is missing or broken, or was not written by Bunraku.
-        MotionError: What it holds breaks the rules of a motion.
+    """Read a clip that Bunraku wrote, GLB or NPZ. FormatError if the file is missing or broken, or was not written by
+    Bunraku; MotionError if what it holds breaks the rules of a motion.
     """
     path = Path(path)
     check_input(path)
@@ -107,16 +94,13 @@ def load_animation(path: str | Path, clip: int | str = 0, fps: float = 30.0) -> 
 
     Handle 0 stands still and holds no vertex; then each joint holds the vertices of its skin, with scale and shear. A
     joint's transform is relative to the bind pose, so skinned meshes are exact; where the file has no bind pose that
-    makes sense, it is relative to the default pose and the result is close.
+    makes sense, it is relative to the default pose and the result is close. FormatError if the file cannot be read, or
+    has no skin or no clip; OptionError if the file has no clip of this name or number, or `fps` is not from 1 to 240.
 
     Args:
         path: A GLB, glTF, VRM or FBX file with a skin and a clip.
         clip: Number or name of the clip, with or without its armature's name before a bar.
         fps: Frames a second of the result [1/s].
-
-    Raises:
-        FormatError: The file cannot be read, or has no skin or no clip.
-        OptionError: The file has no clip of this name or number, or `fps` is not from 1 to 240.
     """
     path = Path(path)
     if not 1 <= fps <= 240:

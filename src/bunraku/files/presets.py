@@ -174,30 +174,22 @@ def _added(animations: Mapping[str, AnimatedCharacter], path: Path, fps: float |
 
 @dataclass(frozen=True)
 class Preset:
-    """What a program expects.
+    """What a program expects."""
 
-    Args:
-        name, title: Its name on the command line and in messages.
-        suffix: The format.
-        fps: Frames a second [1/s].
-        skeleton: The names for the joints of a person without a skeleton.
-        root: Where the travel over the ground is: "travel" on the first joint that moves, "bone" on a bone above it
-            where there is one, "none" taken out.
-        one_file: Whether all clips of a character go into one file.
-        up, unit: The up axis and the unit of lengths in the file.
-        note: What to do in the program, one sentence.
-    """
-
+    # name, title: its name on the command line and in messages
     name: str
     title: str
     suffix: Literal[".fbx", ".glb"]
-    fps: float
-    skeleton: Literal["mixamo", "vrm", "unreal"]
+    fps: float  # frames a second [1/s]
+    skeleton: Literal["mixamo", "vrm", "unreal"]  # the names for the joints of a person without a skeleton
+    # where the travel over the ground is: "travel" on the first joint that moves, "bone" on a bone above it where there
+    # is one, "none" taken out
     root: Literal["travel", "bone", "none"]
-    one_file: bool
+    one_file: bool  # whether all clips of a character go into one file
+    # up, unit: the up axis and the unit of lengths in the file
     up: str
     unit: str
-    note: str
+    note: str  # what to do in the program, one sentence
 
     def files(self, path: str | Path, names: Iterable[str]) -> dict[Path, list[str]]:
         """The files for some clips, named after a path with the preset's suffix, and the names of the clips in each."""
@@ -229,11 +221,7 @@ PRESETS: tuple[Preset, ...] = (
 
 
 def preset_named(name: str) -> Preset:
-    """The preset of a program.
-
-    Raises:
-        OptionError: There is none of this name.
-    """
+    """The preset of a program. OptionError if there is none of this name."""
     preset = next((row for row in PRESETS if row.name == name), None)
     if preset is None:
         raise OptionError(f"there is no preset '{name}'; there are {', '.join(row.name for row in PRESETS)}")

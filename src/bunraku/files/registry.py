@@ -117,17 +117,11 @@ UNIT_NAMES = {"m": "metres", "cm": "centimetres", "mm": "millimetres", "in": "in
 
 @dataclass(frozen=True)
 class SettledUnit:
-    """The unit that a file's lengths are taken to have.
+    """The unit that a file's lengths are taken to have."""
 
-    Args:
-        unit: One of `core.geometry.axes.UNITS`.
-        likely: What the height makes likely; "" where it is too small to tell.
-        note: What to say about it; "" for nothing.
-    """
-
-    unit: str
-    likely: str
-    note: str = ""
+    unit: str  # one of `core.geometry.axes.UNITS`
+    likely: str  # what the height makes likely; "" where it is too small to tell
+    note: str = ""  # what to say about it; "" for nothing
 
 
 def check_unit(unit: str, option: str = "unit") -> None:
@@ -160,15 +154,13 @@ def resolve_unit(height: float, suffix: str, unit: str = "auto") -> SettledUnit:
 
 
 def in_metres(character: Character, unit: str = "auto", up: str | None = None) -> tuple[Character, str]:
-    """The character in metres, and a note about it.
+    """The character in metres, and a note about it. OptionError if there is no such unit, or that of the file cannot be
+    changed.
 
     Args:
         character: As its file has it, lying or standing.
         unit: One of `UNIT_CHOICES`.
         up: Its up axis where that is known. Otherwise it is guessed from the shape if the unit depends on it.
-
-    Raises:
-        OptionError: There is no such unit, or that of the file cannot be changed.
     """
     check_unit(unit)
     suffix = str(getattr(character.source, "suffix", ""))
@@ -197,15 +189,13 @@ _PLURALS = {
 
 
 def _suffix_of(path: Path, kind: str, start: bytes = b"") -> str:
-    """The suffix of a file's format, by its magic bytes first and its own suffix second.
+    """The suffix of a file's format, by its magic bytes first and its own suffix second. FormatError if no format of
+    this kind is recognised; the message lists those that are.
 
     Args:
         path: The file.
         kind: A key of `READERS`, or of `WRITERS` for a file that is to be written.
         start: The first bytes of a file that is to be read.
-
-    Raises:
-        FormatError: No format of this kind is recognised; the message lists those that are.
     """
     functions = READERS[kind] if start else WRITERS[kind]
     suffix = path.suffix.lower()
@@ -236,10 +226,7 @@ def _resolve(target: str) -> Callable[..., Any]:
 
 def holds_character(path: Path) -> bool:
     """Whether a file holds a character, with or without clips, and not only a motion. Folders hold frames of a moving
-    mesh.
-
-    Raises:
-        FormatError: The file is missing, or its kind is unknown.
+    mesh. FormatError if the file is missing, or its kind is unknown.
     """
     if os.path.isdir(path):  # unlike Path.is_dir, no name makes it raise
         return False
@@ -368,11 +355,8 @@ def _read_character(path: str | Path, **options: object) -> Character:
 
 def read_motion(path: str | Path) -> HandleMotion | SkeletalMotion:
     """Read a motion: a handle motion from NPZ, or a skeletal one with its own joints from BVH, VRMA, AMASS (.npz),
-    HumanML3D (.npy), or the first clip of FBX.
-
-    Raises:
-        FormatError: The file is missing, empty, too large, broken, or of no known format.
-        MotionError: What it holds breaks the rules of a motion.
+    HumanML3D (.npy), or the first clip of FBX. FormatError if the file is missing, empty, too large, broken, or of no
+    known format; MotionError if what it holds breaks the rules of a motion.
     """
     motion: HandleMotion | SkeletalMotion = _read(path, "motion")
     return motion
@@ -428,16 +412,13 @@ def save(
 
 
 def check_writer(path: str | Path, *, points: bool = False, mmd: bool = True) -> None:
-    """Make sure, before anything is computed, that an animation can be written to a file.
+    """Make sure, before anything is computed, that an animation can be written to a file. MissingExtraError if an
+    optional library is missing; FormatError if the suffix is unknown, or such files cannot hold the character.
 
     Args:
         path: The file.
         points: Whether vertices also move on their own, as learned apparel does.
         mmd: Whether it is of an MMD model, as a VMD must be.
-
-    Raises:
-        BunrakuError: An optional library is missing; the message names it.
-        FormatError: The suffix is unknown, or such files cannot hold what the character does.
     """
     suffix = _suffix_of(Path(path), "points" if points else "animation")
     if suffix in _USD:

@@ -44,40 +44,24 @@ def prim_name(text: str, fallback: str = "character") -> str:
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A part of a character that has one material.
+    """A part of a character that has one material."""
 
-    Args:
-        name: A name for its prim.
-        index: The character's vertex of each of its own, shape (V,).
-        faces: Its triangles, shape (F, 3).
-        uv: Texture coordinates with v upwards, shape (V, 2), or None.
-        material: The material's number in the document, or None.
-    """
-
-    name: str
-    index: np.ndarray
-    faces: np.ndarray
-    uv: np.ndarray | None = None
-    material: int | None = None
+    name: str  # a name for its prim
+    index: np.ndarray  # the character's vertex of each of its own, shape (V,)
+    faces: np.ndarray  # its triangles, shape (F, 3)
+    uv: np.ndarray | None = None  # texture coordinates with v upwards, shape (V, 2), or None
+    material: int | None = None  # the material's number in the document, or None
 
 
 @dataclass
 class Look:
-    """The materials of a document that have been written so far.
+    """The materials of a document that have been written so far."""
 
-    Args:
-        usd: The modules of USD.
-        stage: Where they are written.
-        root: Path of the prim that they are under.
-        folder: Name of the folder of the textures in the file.
-        textures: Images that are needed: bytes by file name.
-    """
-
-    usd: dict[str, ModuleType]
-    stage: Any
-    root: str
-    folder: str
-    textures: dict[str, bytes] = field(default_factory=dict)
+    usd: dict[str, ModuleType]  # the modules of USD
+    stage: Any  # where they are written
+    root: str  # path of the prim that they are under
+    folder: str  # name of the folder of the textures in the file
+    textures: dict[str, bytes] = field(default_factory=dict)  # images that are needed: bytes by file name
     _made: dict[tuple[int, bool], Any] = field(default_factory=dict)
 
     def bind(self, prim: Any, document: Document, number: int, painted: bool) -> None:
@@ -247,12 +231,8 @@ def write_usd(
     """Write an animation as USD: .usd and .usdc are binary, .usda is text, .usdz is a package. One of a character's own
     rig has its bones in their tree, under their names. Options are those of `save`; the stage's `upAxis` and
     `metersPerUnit` state axes and unit. With `points` it holds the position of every vertex in every frame instead of a
-    skeleton.
-
-    Raises:
-        FormatError: The file cannot be written.
-        MissingExtraError: The extra `usd` is not installed.
-        OptionError: An option makes no sense.
+    skeleton. FormatError if the file cannot be written; MissingExtraError if the extra `usd` is not installed;
+    OptionError if an option makes no sense.
     """
     if points:
         shown = animation.animation() if isinstance(animation, RigAnimation) else animation
@@ -338,20 +318,16 @@ def _stage(usd: dict[str, ModuleType], fps: float, frames: int, up: str, unit: s
 
 @dataclass(frozen=True, eq=False)
 class _Skin:
-    """A skeleton of J joints in the file's frame, none rotated at rest, its motion in N frames, and its weights.
+    """A skeleton of J joints in the file's frame, none rotated at rest, its motion in N frames, and its weights."""
 
-    Args:
-        joints: Paths of the joints, every parent before its children.
-        bind, local: Their rest positions, in the world and from their parents, shape (J, 3).
-        translations, rotations: Of each in its parent's frame, shapes (N, J, 3) and (N, J, 4), xyzw, float32.
-        indices, weights: Joints of each vertex and their shares, shape (V, M).
-    """
-
-    joints: list[str]
+    joints: list[str]  # paths of the joints, every parent before its children
+    # bind, local: their rest positions, in the world and from their parents, shape (J, 3)
     bind: np.ndarray
     local: np.ndarray
+    # translations, rotations: of each in its parent's frame, shapes (N, J, 3) and (N, J, 4), xyzw, float32
     translations: np.ndarray
     rotations: np.ndarray
+    # indices, weights: joints of each vertex and their shares, shape (V, M)
     indices: np.ndarray
     weights: np.ndarray
 

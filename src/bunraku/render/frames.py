@@ -226,7 +226,7 @@ def render_frames(
     fps: float = 20.0,
     background: Background = "studio",
 ) -> np.ndarray:
-    """Draw posed vertices.
+    """Draw posed vertices. OptionError if a size, a colour or a background is invalid, or there is no frame.
 
     Args:
         vertices: Posed positions [m], +Y up, +Z forward, shape (N, V, 3).
@@ -239,9 +239,6 @@ def render_frames(
 
     Returns:
         Pictures, shape (N, H, W, 3), uint8.
-
-    Raises:
-        OptionError: A size, a colour or a background is invalid, or there is no frame.
     """
     vertices = np.asarray(vertices, np.float32)
     if vertices.ndim != 3 or not len(vertices) or vertices.shape[2] != 3 or not np.isfinite(vertices).all():
@@ -265,7 +262,7 @@ def render_animation(
     background: Background = "studio",
     color: Literal["texture", "handles"] = "texture",
 ) -> Iterator[np.ndarray]:
-    """Draw an animation one frame after the other.
+    """Draw an animation one frame after the other. OptionError if an option is outside what can be drawn.
 
     Args:
         animation: What to draw.
@@ -277,9 +274,6 @@ def render_animation(
 
     Yields:
         Pictures, shape (H, W, 3), uint8.
-
-    Raises:
-        OptionError: An option is outside what can be drawn.
     """
     at = moments(animation, fps) if times is None else np.asarray(times, float)
     pace = (len(at) - 1) / max(float(at[-1] - at[0]), 1e-6) if len(at) > 1 else animation.motion.fps

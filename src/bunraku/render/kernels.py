@@ -77,11 +77,8 @@ def _ours(path: Path) -> bool:
 
 
 def compile_kernels(compiler: str, path: Path) -> None:
-    """Build the loops as a shared library, which appears whole or not at all.
-
-    Raises:
-        OSError: The compiler, one with the options of gcc, cannot be started, or the folder not written.
-        subprocess.SubprocessError: It failed.
+    """Build the loops as a shared library, which appears whole or not at all. OSError if the compiler, one with the
+    options of gcc, cannot be started, or the folder not written; subprocess.SubprocessError if it failed.
     """
     handle, name = tempfile.mkstemp(prefix=".kernels-", suffix=path.suffix, dir=path.parent)
     os.close(handle)

@@ -57,16 +57,13 @@ def _replacing(path: Path) -> Iterator[Path]:
 
 
 def write_moving(images: Iterable[np.ndarray], path: str | Path, fps: float) -> Path:
-    """Write pictures (H, W, 3), uint8, one at a time, as the video or animation that the suffix names.
+    """Write pictures (H, W, 3), uint8, one at a time, as the video or animation that the suffix names. FormatError if
+    the suffix is another, or the file cannot be written; MissingExtraError if PyAV or Pillow is not installed.
 
     Args:
         images: The pictures, all of one size; an MP4 needs even sizes.
         path: A name that ends with .mp4 (H.264 in yuv420p, which browsers play), .webp or .gif.
         fps: Pictures a second [1/s].
-
-    Raises:
-        FormatError: The suffix is another, or the file cannot be written.
-        MissingExtraError: PyAV or Pillow is not installed.
     """
     target = check_target(path, MOVING)
     with _replacing(target) as temporary:
@@ -122,11 +119,8 @@ def _write_pillow(images: Iterable[np.ndarray], path: Path, fps: float) -> None:
 
 def write_png(image: np.ndarray, path: str | Path, limit: int | None = None) -> Path:
     """Write one picture (H, W, 3), uint8, as PNG. Where the file has more than `limit` bytes, colours, then size, are
-    reduced until it fits.
-
-    Raises:
-        FormatError: The name does not end with .png, or the file cannot be written.
-        MissingExtraError: Pillow is not installed.
+    reduced until it fits. FormatError if the name does not end with .png, or the file cannot be written;
+    MissingExtraError if Pillow is not installed.
     """
     try:
         from PIL import Image
@@ -163,7 +157,8 @@ def assemble(
     gap: int = 4,
     paper: tuple[int, int, int] = PAPER,
 ) -> np.ndarray:
-    """Pictures of one size in a grid, row by row, each with its label below, uint8, three channels.
+    """Pictures of one size in a grid, row by row, each with its label below, uint8, three channels. OptionError if
+    there are none, of several sizes, or another number of labels; MissingExtraError if Pillow is not installed.
 
     Args:
         images: Pictures, each (H, W, 3), uint8.
@@ -172,10 +167,6 @@ def assemble(
         title: A line above all.
         gap: Pixels between the pictures.
         paper: sRGB of the space between and below the pictures.
-
-    Raises:
-        OptionError: No pictures, of several sizes, or another number of labels.
-        MissingExtraError: Pillow is not installed.
     """
     try:
         from PIL import Image, ImageDraw, ImageFont
@@ -245,10 +236,7 @@ TEXT = 14
 
 def page(picture: np.ndarray, title: str, lines: Sequence[str]) -> np.ndarray:
     """A picture (H, W, 3), uint8, with a title and lines below it, as wide as the picture; lines that are too long are
-    wrapped.
-
-    Raises:
-        MissingExtraError: Pillow is not installed.
+    wrapped. MissingExtraError if Pillow is not installed.
     """
     try:
         from PIL import Image, ImageDraw, ImageFont

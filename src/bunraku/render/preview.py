@@ -42,6 +42,8 @@ def save_preview(
     progress: Progress | None = None,
 ) -> Path:
     """Write a preview of an animation: a video (.mp4), a moving picture (.webp, .gif) or a contact sheet (.png).
+    FormatError if the suffix is unknown, or the file cannot be written; OptionError if an option is outside what can be
+    drawn; MissingExtraError if PyAV or Pillow is not installed.
 
     Args:
         animation: What to show.
@@ -55,11 +57,6 @@ def save_preview(
         frames: Pictures of a sheet, evenly spaced from the first frame to the last.
         title: A line above the sheet.
         progress: Called with the number of pictures done and of all.
-
-    Raises:
-        FormatError: The suffix is unknown, or the file cannot be written.
-        OptionError: An option is outside what can be drawn.
-        MissingExtraError: PyAV or Pillow is not installed.
     """
     target = check_target(path)
     parse_background(background)
@@ -146,11 +143,8 @@ def save_still(
     """Write a PNG of a character in its rest pose, seen from the front, or, with `views=2`, also from the back.
 
     With handles each vertex has its handles' colours, blended by weight. Lines are written below the picture, under the
-    character's name. Other arguments are those of `render_still`.
-
-    Raises:
-        FormatError: The file cannot be written, or its name does not end with .png.
-        OptionError: An option is outside what can be drawn.
+    character's name. Other arguments are those of `render_still`. FormatError if the file cannot be written, or its
+    name does not end with .png; OptionError if an option is outside what can be drawn.
     """
     target = check_target(path, (".png",))
     if views not in (1, 2):
@@ -179,7 +173,8 @@ def write_html(
     name: str | None = None,
     most: int = MOST_BYTES,
 ) -> Path:
-    """Write an animation as a page that shows it with three.js.
+    """Write an animation as a page that shows it with three.js. FormatError if the file cannot be written, or the model
+    is larger.
 
     Args:
         animation: Of any kind that a GLB can hold.
@@ -187,9 +182,6 @@ def write_html(
         fps: Frames a second of the clip [1/s]; those of the motion by default.
         name: The title; the file's name by default.
         most: Largest size of the model [bytes].
-
-    Raises:
-        FormatError: The file cannot be written, or the model is larger.
     """
     title = str(name) if name else path.stem
     rate: dict[str, Any] = {} if fps is None else {"fps": fps}
@@ -217,11 +209,8 @@ VIEW_SIZE = (320, 360)
 
 def orientation_views(character: Character, count: int = 4) -> np.ndarray:
     """The `count` (1 to 24) likeliest orientations of a character side by side, shape (H, W, 3), uint8: the right one
-    stands upright and faces the viewer. Each is labelled with its options and its probability.
-
-    Raises:
-        WeightsError: The weights of the orientation network are missing or broken.
-        MissingExtraError: Pillow is not installed.
+    stands upright and faces the viewer. Each is labelled with its options and its probability. WeightsError if the
+    weights of the orientation network are missing or broken; MissingExtraError if Pillow is not installed.
     """
     from bunraku.anatomy.handles.orientation import guess_orientation
     from bunraku.files import rotated

@@ -31,17 +31,11 @@ def view_axes(yaw: float = YAW, elevation: float = ELEVATION) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera with square pixels and its principal point in the middle of the picture.
+    """A pinhole camera with square pixels and its principal point in the middle of the picture."""
 
-    Args:
-        position: Position of the eye [m], shape (3,).
-        axes: Rows right, up and back in world coordinates, shape (3, 3).
-        field_of_view: Angle from the picture's lower to its upper border [rad].
-    """
-
-    position: np.ndarray
-    axes: np.ndarray
-    field_of_view: float = float(FIELD_OF_VIEW)
+    position: np.ndarray  # position of the eye [m], shape (3,)
+    axes: np.ndarray  # rows right, up and back in world coordinates, shape (3, 3)
+    field_of_view: float = float(FIELD_OF_VIEW)  # angle from the picture's lower to its upper border [rad]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "position", np.asarray(self.position, np.float64).reshape(3))
@@ -181,23 +175,17 @@ def compress_highlights(values: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Surface:
-    """A mesh as the renderer draws it: points are vertices, split where a crease divides their normals.
+    """A mesh as the renderer draws it: points are vertices, split where a crease divides their normals."""
 
-    Args:
-        faces, triangles: Vertices and points of each triangle, shape (F, 3), int32.
-        clusters: Normal of each corner, shape (F, 3), int32, below `normal_count`.
-        point_vertex, point_cluster: Vertex and normal of each point, shape (P,), int32.
-        colors: Linear light of each point, shape (P, 3), float32.
-        normal_count: Number of normals.
-    """
-
+    # faces, triangles: vertices and points of each triangle, shape (F, 3), int32
     faces: np.ndarray
     triangles: np.ndarray
-    clusters: np.ndarray
+    clusters: np.ndarray  # normal of each corner, shape (F, 3), int32, below `normal_count`
+    # point_vertex, point_cluster: vertex and normal of each point, shape (P,), int32
     point_vertex: np.ndarray
     point_cluster: np.ndarray
-    colors: np.ndarray
-    normal_count: int
+    colors: np.ndarray  # linear light of each point, shape (P, 3), float32
+    normal_count: int  # number of normals
 
     def pose(self, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Positions [m] and unit normals of the points, both (P, 3), for vertices [m] (V, 3), float32."""
@@ -208,16 +196,14 @@ class Surface:
 
 
 def build_surface(vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray | None = None) -> Surface:
-    """Find the creases of a rest pose and split the vertices there.
+    """Find the creases of a rest pose and split the vertices there. OptionError if the colours are of another number
+    than the vertices, or a face names a vertex that is not there.
 
     Args:
         vertices: Rest positions [m], shape (V, 3).
         faces: Vertex indices, shape (F, 3).
         colors: sRGB colours, uint8, of the vertices (V, 3) or one for all (3,). None, and white all over, which is what
             files without materials come as, is drawn in the colour of clay.
-
-    Raises:
-        OptionError: The colours are of another number than the vertices, or a face names a vertex that is not there.
     """
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
@@ -285,27 +271,16 @@ TEXELS = 320
 
 @dataclass(frozen=True)
 class Stage:
-    """Everything of a picture but the character and the camera.
+    """Everything of a picture but the character and the camera."""
 
-    Args:
-        ground: Height of the floor [m].
-        centre: Middle of the lit part of the floor [m], shape (3,).
-        radius: Where the floor has faded out [m].
-        cell: Spacing of the grid [m].
-        light: Direction towards the key light, shape (3,), unit length.
-        reach: Half the side of the square of floor that can hold a shadow [m].
-        extent: Size of the character [m].
-        top: sRGB of the background's upper border, 0..1, shape (3,). Likewise `bottom`, `floor` and `line`.
-    """
-
-    ground: float
-    centre: np.ndarray
-    radius: float
-    cell: float
-    light: np.ndarray
-    reach: float
-    extent: float
-    top: np.ndarray
+    ground: float  # height of the floor [m]
+    centre: np.ndarray  # middle of the lit part of the floor [m], shape (3,)
+    radius: float  # where the floor has faded out [m]
+    cell: float  # spacing of the grid [m]
+    light: np.ndarray  # direction towards the key light, shape (3,), unit length
+    reach: float  # half the side of the square of floor that can hold a shadow [m]
+    extent: float  # size of the character [m]
+    top: np.ndarray  # sRGB of the background's upper border, 0..1, shape (3,). Likewise `bottom`, `floor` and `line`.
     bottom: np.ndarray
     floor: np.ndarray
     line: np.ndarray
@@ -314,15 +289,10 @@ class Stage:
 
 @dataclass(frozen=True)
 class Shadows:
-    """Two maps of the floor, both (R, R), float32, whose texel (row z, column x) starts at `near`, `left` [m].
+    """Two maps of the floor, both (R, R), float32, whose texel (row z, column x) starts at `near`, `left` [m]."""
 
-    Args:
-        heights: How high above the floor the highest surface stands in the way of the key light [m].
-        floor: How much darker the floor is, 0..1.
-    """
-
-    heights: np.ndarray
-    floor: np.ndarray
+    heights: np.ndarray  # how high above the floor the highest surface stands in the way of the key light [m]
+    floor: np.ndarray  # how much darker the floor is, 0..1
     left: float
     near: float
     texel: float
@@ -330,9 +300,7 @@ class Shadows:
 
 def parse_background(background: Background) -> tuple[np.ndarray, np.ndarray]:
     """Upper and lower sRGB colour, 0..1, of a named background, a colour such as "#dfe4e9" or (223, 228, 233).
-
-    Raises:
-        OptionError: It is none of these.
+    OptionError if it is none of these.
     """
     pair = BACKGROUNDS.get(background) if isinstance(background, str) else None
     try:
@@ -423,16 +391,12 @@ def cast_shadows(stage: Stage, surface: Surface, vertices: np.ndarray) -> Shadow
 class Backdrop:
     """A picture without lines and character. It is the same wherever the camera moves to above its floor, whose lit
     part moves along.
-
-    Args:
-        base: sRGB 0..1, shape (H, W, 3), float32.
-        plain: The same as it is shown, uint8.
-        floor: Of each pixel: x and z of its floor point, seen from the point below the eye [m]; how far that moves
-            along x and z from one pixel to the next [m]; how much of the floor is seen, 0..1. Shape (H, W, 5), float32.
     """
 
-    base: np.ndarray
-    plain: np.ndarray
+    base: np.ndarray  # sRGB 0..1, shape (H, W, 3), float32
+    plain: np.ndarray  # the same as it is shown, uint8
+    # Of each pixel: x and z of its floor point, seen from the point below the eye [m]; how far that moves along x and z
+    # from one pixel to the next [m]; how much of the floor is seen, 0..1. Shape (H, W, 5), float32.
     floor: np.ndarray
 
 

@@ -29,14 +29,10 @@ Point = tuple[_Metres, _Metres, _Metres]
 
 @dataclass(frozen=True)
 class Piece:
-    """A piece of the surface and its kind.
+    """A piece of the surface and its kind."""
 
-    Args:
-        kind: What it is.
-        at: Points on or near it [m]; each stands for the loose part there, as far as one limb is taken to reach on it.
-    """
-
-    kind: Kind
+    kind: Kind  # what it is
+    # points on or near it [m]; each stands for the loose part there, as far as one limb is taken to reach on it
     at: tuple[Point, ...]
 
     def __post_init__(self) -> None:
@@ -46,20 +42,15 @@ class Piece:
 
 @dataclass(frozen=True)
 class Corrections:
-    """What is said about a character. Positions are in metres with +Y up and facing +Z, as Bunraku shows it.
+    """What is said about a character. Positions are in metres with +Y up and facing +Z, as Bunraku shows it."""
 
-    Args:
-        up, front: Axes of the file, or "auto".
-        character: Which one of several characters moves, from 1, the largest.
-        joints: Positions of joints by the names of their handles [m].
-        part: Pieces and their kinds, the later ones stronger.
-    """
-
+    # up, front: axes of the file, or "auto"
     up: str = "auto"
     front: str = "auto"
+    # which one of several characters moves, from 1, the largest
     character: Annotated[int | None, Limit("character", 1, 1000)] = None
-    joints: dict[str, Point] = field(default_factory=dict)
-    part: tuple[Piece, ...] = ()
+    joints: dict[str, Point] = field(default_factory=dict)  # positions of joints by the names of their handles [m]
+    part: tuple[Piece, ...] = ()  # pieces and their kinds, the later ones stronger
 
     def __post_init__(self) -> None:
         axes = [axis_name(axis) for axis in (self.up, self.front) if axis != "auto"]
@@ -105,7 +96,8 @@ def write_corrections(
     joints: Mapping[str, Sequence[float]],
     pieces: Sequence[tuple[str, Sequence[float]]],
 ) -> None:
-    """Write a file of corrections: what is said, and every guess as a comment, to be changed.
+    """Write a file of corrections: what is said, and every guess as a comment, to be changed. FormatError if it cannot
+    be written.
 
     Args:
         path: The file.
@@ -113,9 +105,6 @@ def write_corrections(
         axes: Up and front as they are taken.
         joints: Positions of all joints [m], by their names.
         pieces: Kind of each piece that is found, and a point on it [m].
-
-    Raises:
-        FormatError: It cannot be written.
     """
 
     def numbers(point: Sequence[float]) -> str:

@@ -27,15 +27,10 @@ _PARENTS = np.array(JOINT_PARENTS)
 
 @dataclass(frozen=True)
 class _Moments:
-    """The parts of the handles' covariances: handle k has sum_j R_j A_jk + p_j c_jk^T.
+    """The parts of the handles' covariances: handle k has sum_j R_j A_jk + p_j c_jk^T."""
 
-    Args:
-        linear: A over the joints' axes and the handles' axes, shape (3 J, 3 J).
-        shift: c over the joints and the handles' axes, shape (J, 3 J).
-    """
-
-    linear: np.ndarray
-    shift: np.ndarray
+    linear: np.ndarray  # A over the joints' axes and the handles' axes, shape (3 J, 3 J)
+    shift: np.ndarray  # c over the joints and the handles' axes, shape (J, 3 J)
 
 
 @lru_cache(maxsize=1)
@@ -56,15 +51,12 @@ def skeleton_from_handles(motion: HandleMotion, rounds: int = ROUNDS) -> Skeleta
     """The motion of SMPL's 22 joints that moves the reference body as a handle motion does.
 
     The skeleton is the reference body's. What handles do beyond rotating about joints (soft bending, tails, fingers) is
-    left out.
+    left out. MotionError if the motion has fewer handles.
 
     Args:
         motion: Of the reference body's handles: at least 22, those of SMPL's joints first.
         rounds: How often the joints are rotated by what the handles lack; 0 takes the handles' rotations for the
             joints'.
-
-    Raises:
-        MotionError: The motion has fewer handles.
     """
     if motion.rotations.shape[1] < JOINT_COUNT:
         raise MotionError(
@@ -128,14 +120,12 @@ _SMOOTH = 0.1  # deviation of the mean over time that rolls are taken from [s]
 def motion_from_positions(positions: np.ndarray, fps: float) -> SkeletalMotion:
     """Skeletal motion through positions of SMPL's 22 joints.
 
-    Bones have their mean length in the positions, and the reference body's directions in the T-pose.
+    Bones have their mean length in the positions, and the reference body's directions in the T-pose. MotionError if the
+    shape is another one, there is no frame, or a value is not finite.
 
     Args:
         positions: Positions, +Y up [m], shape (N, 22, 3).
         fps: Frames a second [1/s].
-
-    Raises:
-        MotionError: The shape is another one, there is no frame, or a value is not finite.
     """
     joints = np.asarray(positions, float)
     if joints.ndim != 3 or joints.shape[1:] != (JOINT_COUNT, 3) or not len(joints):

@@ -18,24 +18,16 @@ from bunraku.errors import MotionError
 
 @dataclass(frozen=True)
 class ReferenceBody:
-    """A human body with 22 joints in SMPL's order and the canonical weights of the 30 handles.
+    """A human body with 22 joints in SMPL's order and the canonical weights of the 30 handles."""
 
-    Args:
-        name: Name of the shape ("average", "child", ...).
-        vertices: Rest positions in the T-pose, feet on y = 0 [m], shape (V, 3).
-        faces: Triangles, shape (F, 3).
-        joints: Joint positions [m], shape (22, 3).
-        joint_weights, handle_weights: Skin weights, shapes (V, 22) and (V, 30).
-        mirror: Vertex at the mirror image of each vertex, shape (V,).
-    """
-
-    name: str
-    vertices: np.ndarray
-    faces: np.ndarray
-    joints: np.ndarray
+    name: str  # name of the shape ("average", "child", ...)
+    vertices: np.ndarray  # rest positions in the T-pose, feet on y = 0 [m], shape (V, 3)
+    faces: np.ndarray  # triangles, shape (F, 3)
+    joints: np.ndarray  # joint positions [m], shape (22, 3)
+    # joint_weights, handle_weights: skin weights, shapes (V, 22) and (V, 30)
     joint_weights: np.ndarray
     handle_weights: np.ndarray
-    mirror: np.ndarray
+    mirror: np.ndarray  # vertex at the mirror image of each vertex, shape (V,)
 
     @cached_property
     def legs(self) -> float:
@@ -72,10 +64,7 @@ class ReferenceBody:
 
     def pose(self, motion: SkeletalMotion) -> np.ndarray:
         """Vertices of the body in every frame of a motion of the 22 joints [m], shape (N, V, 3). The body keeps its own
-        bones, and the root's path is scaled by the ratio of leg lengths.
-
-        Raises:
-            MotionError: The motion has other joints.
+        bones, and the root's path is scaled by the ratio of leg lengths. MotionError if the motion has other joints.
         """
         if motion.skeleton.names != JOINT_NAMES:
             raise MotionError("the reference body takes motions of SMPL's 22 joints only; map the skeleton first")
@@ -137,11 +126,7 @@ def reference_shapes() -> tuple[str, ...]:
 
 @lru_cache(maxsize=16)
 def reference_body(shape: str = "average") -> ReferenceBody:
-    """The reference body in one of `reference_shapes()`.
-
-    Raises:
-        KeyError: There is no such shape.
-    """
+    """The reference body in one of `reference_shapes()`. KeyError if there is no such shape."""
     asset = _asset()
     names = reference_shapes()
     if shape not in names:

@@ -18,11 +18,7 @@ ORIENTATIONS: tuple[tuple[str, str], ...] = tuple((up, front) for up, front in p
 
 
 def axis_name(text: str) -> str:
-    """An axis in canonical form: "Z", "z" and "+Z" are "+z".
-
-    Raises:
-        OptionError: It is not an axis.
-    """
+    """An axis in canonical form: "Z", "z" and "+Z" are "+z". OptionError if it is not an axis."""
     name = text.strip().lower()
     name = name if name[:1] in ("+", "-") else f"+{name}"
     if name not in AXES:
@@ -38,10 +34,8 @@ def axis_vector(name: str) -> np.ndarray:
 
 
 def upright_rotation(up: str, front: str) -> np.ndarray:
-    """The rotation that takes one axis to +Y and another to +Z, shape (3, 3); its entries are -1, 0 and 1.
-
-    Raises:
-        OptionError: The axes are not at a right angle.
+    """The rotation that takes one axis to +Y and another to +Z, shape (3, 3); its entries are -1, 0 and 1. OptionError
+    if the axes are not at a right angle.
     """
     if up[1] == front[1]:
         raise OptionError(f"{up} cannot be up while {front} is the front; choose two axes at a right angle")
@@ -102,26 +96,18 @@ _TURNS = {"+y": np.eye(3), "+z": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])}
 
 @dataclass(frozen=True, eq=False)
 class FileFrame:
-    """How our positions and rotations are written in a file.
+    """How our positions and rotations are written in a file."""
 
-    Args:
-        turn: Rotates our axes to the file's, shape (3, 3).
-        scale: Units of the file in a metre.
-    """
-
-    turn: np.ndarray
-    scale: float
+    turn: np.ndarray  # rotates our axes to the file's, shape (3, 3)
+    scale: float  # units of the file in a metre
 
     @classmethod
     def of(cls, up: str, unit: str) -> FileFrame:
-        """The frame of a file.
+        """The frame of a file. OptionError if there is no such axis or unit.
 
         Args:
             up: "+y", or "+z", where our +Z is the file's -Y, as in Blender.
             unit: One of `UNITS`.
-
-        Raises:
-            OptionError: There is no such axis or unit.
         """
         if unit not in UNITS:
             raise OptionError(f"'{unit}' is not a unit; there are {', '.join(UNITS)}")

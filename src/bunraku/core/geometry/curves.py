@@ -132,15 +132,12 @@ BLOCK = 48
 
 def solve_banded(band: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Solve A x = b for a symmetric positive definite A of 2 u + 1 diagonals, block by block; x has shape (N, C),
-    float64.
+    float64. numpy.linalg.LinAlgError if a is singular.
 
     Args:
         band: The upper diagonals as in `scipy.linalg.solveh_banded`: A[i, i + d] stands at [u - d, i + d]; shape (u +
             1, N).
         right: b, shape (N, C).
-
-    Raises:
-        numpy.linalg.LinAlgError: A is singular.
     """
     above, count = len(band) - 1, band.shape[1]
     size = max(BLOCK, above)

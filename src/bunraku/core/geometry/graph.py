@@ -24,23 +24,14 @@ _DIRECTION = (0.8017837257372732, 0.5129891760425771, 0.3068528194400547)  # no 
 
 @dataclass(frozen=True, eq=False)
 class CleanMesh:
-    """The welded surface of a mesh, normalised and in canonical order.
+    """The welded surface of a mesh, normalised and in canonical order."""
 
-    Args:
-        vertices: Positions, the bounding box centred on 0 and the largest extent 1, shape (C, 3), float64.
-        faces: Vertex indices, shape (F, 3), int64; three different vertices each, no face twice.
-        index: Clean vertex of each original vertex, the nearest one for those without faces, shape (V,).
-        used: Original vertices that have faces, shape (V,), bool.
-        center: Centre of the original bounding box [m], shape (3,).
-        scale: Largest extent of the original [m]: original = vertices * scale + center.
-    """
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    index: np.ndarray
-    used: np.ndarray
-    center: np.ndarray
-    scale: float
+    vertices: np.ndarray  # positions, the bounding box centred on 0 and the largest extent 1, shape (C, 3), float64
+    faces: np.ndarray  # vertex indices, shape (F, 3), int64; three different vertices each, no face twice
+    index: np.ndarray  # clean vertex of each original vertex, the nearest one for those without faces, shape (V,)
+    used: np.ndarray  # original vertices that have faces, shape (V,), bool
+    center: np.ndarray  # centre of the original bounding box [m], shape (3,)
+    scale: float  # largest extent of the original [m]: original = vertices * scale + center
 
 
 def clean_mesh(vertices: np.ndarray, faces: np.ndarray) -> CleanMesh:
@@ -48,10 +39,8 @@ def clean_mesh(vertices: np.ndarray, faces: np.ndarray) -> CleanMesh:
 
     Vertices closer than 2.5e-6 of the largest extent become one. Faces with fewer than three different vertices and
     repeated faces are dropped; of a face in both orientations the commoner one stays, or the one that looks outward.
-    Slivers stay, since they hold neighbours together.
-
-    Raises:
-        CharacterError: A coordinate is not finite, a face names no vertex, or no face has an area to speak of.
+    Slivers stay, since they hold neighbours together. CharacterError if a coordinate is not finite, a face names no
+    vertex, or no face has an area to speak of.
     """
     vertices, faces = np.asarray(vertices, np.float64), np.asarray(faces, np.int64)
     if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:

@@ -193,16 +193,12 @@ def heading(root_rotation: np.ndarray, fps: float = 20.0) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Resampling:
-    """The frames of a clip between which those of the result lie.
+    """The frames of a clip between which those of the result lie."""
 
-    Args:
-        low, high: The frame before and after each, shape (M,).
-        share: Its position between the two, 0 to 1, shape (M,).
-    """
-
+    # low, high: the frame before and after each, shape (M,)
     low: np.ndarray
     high: np.ndarray
-    share: np.ndarray
+    share: np.ndarray  # its position between the two, 0 to 1, shape (M,)
 
     @classmethod
     def of(cls, frames: int, have: float, want: float) -> Resampling:

@@ -37,25 +37,15 @@ _BORDER = 0.15  # half the width of the zone in which a vertex counts in two cel
 
 @dataclass(frozen=True, eq=False)
 class FineMesh:
-    """The clean mesh with its long edges split, which the grid merges.
+    """The clean mesh with its long edges split, which the grid merges."""
 
-    Args:
-        vertices: Positions, shape (S, 3), float64.
-        faces: Vertex indices, shape (F, 3).
-        edges: Undirected edges, shape (E, 2).
-        areas: Surface of each vertex, shape (S,).
-        normals: Its mean normal, shorter where it bends, shape (S, 3).
-        steps: Matrices that make its vertices from the clean ones, one product after the other.
-        start: Vertex of each clean vertex, shape (W,).
-    """
-
-    vertices: np.ndarray
-    faces: np.ndarray
-    edges: np.ndarray
-    areas: np.ndarray
-    normals: np.ndarray
-    steps: tuple[csr_matrix, ...]
-    start: np.ndarray
+    vertices: np.ndarray  # positions, shape (S, 3), float64
+    faces: np.ndarray  # vertex indices, shape (F, 3)
+    edges: np.ndarray  # undirected edges, shape (E, 2)
+    areas: np.ndarray  # surface of each vertex, shape (S,)
+    normals: np.ndarray  # its mean normal, shorter where it bends, shape (S, 3)
+    steps: tuple[csr_matrix, ...]  # matrices that make its vertices from the clean ones, one product after the other
+    start: np.ndarray  # vertex of each clean vertex, shape (W,)
 
     @cached_property
     def parts(self) -> np.ndarray:
@@ -226,33 +216,24 @@ _SMALLEST_CELL, _LARGEST_CELL = 1 / 2000, 0.08
 
 @dataclass(frozen=True, eq=False)
 class NetworkMesh:
-    """A normalised mesh of network size, and the maps between it and the vertices of the original.
+    """A normalised mesh of network size, and the maps between it and the vertices of the original."""
 
-    Args:
-        vertices: Positions, the original's bounding box centred on 0 and its largest extent 1, shape (M, 3), float32.
-        normals: Area-weighted mean normals of the surface that each vertex stands for, shape (M, 3), float32: of length
-            1 where that is flat, shorter where it bends, near 0 where it closes on itself, as a thin finger does.
-        areas: Surface that each vertex stands for, shape (M,), float32; sums to the area of the normalised mesh.
-        faces: Vertex indices, shape (F, 3), int64.
-        edges: Undirected edges, bridges between loose parts included, each once, smaller vertex first, shape (E, 2),
-            int64.
-        components: Loose part of each vertex, shape (M,), int64.
-        cell: Size of the grid's cells, about the distance between neighbours.
-        clean: The welded original.
-        surface: The same with its long edges split, of which the network's vertices are means.
-        surface_label: The network vertex of each vertex of `surface`.
-    """
-
+    # positions, the original's bounding box centred on 0 and its largest extent 1, shape (M, 3), float32
     vertices: np.ndarray
+    # area-weighted mean normals of the surface that each vertex stands for, shape (M, 3), float32: of length 1 where
+    # that is flat, shorter where it bends, near 0 where it closes on itself, as a thin finger does
     normals: np.ndarray
+    # surface that each vertex stands for, shape (M,), float32; sums to the area of the normalised mesh
     areas: np.ndarray
-    faces: np.ndarray
+    faces: np.ndarray  # vertex indices, shape (F, 3), int64
+    # undirected edges, bridges between loose parts included, each once, smaller vertex first, shape (E, 2), int64
     edges: np.ndarray
-    components: np.ndarray
-    cell: float
-    clean: CleanMesh = field(repr=False)
+    components: np.ndarray  # loose part of each vertex, shape (M,), int64
+    cell: float  # size of the grid's cells, about the distance between neighbours
+    clean: CleanMesh = field(repr=False)  # the welded original
+    # the same with its long edges split, of which the network's vertices are means
     surface: FineMesh = field(repr=False)
-    surface_label: np.ndarray = field(repr=False)
+    surface_label: np.ndarray = field(repr=False)  # the network vertex of each vertex of `surface`
     _mean: csr_matrix = field(repr=False)
 
     @property
@@ -330,7 +311,8 @@ def network_mesh(
     max_edge: float = 0.05,
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> NetworkMesh:
-    """The network's version of a mesh, with about 60 % of `max_vertices` vertices.
+    """The network's version of a mesh, with about 60 % of `max_vertices` vertices. CharacterError if the mesh has no
+    surface, or a coordinate is not finite (see `clean_mesh`).
 
     Args:
         vertices: Positions [m], shape (V, 3).
@@ -338,9 +320,6 @@ def network_mesh(
         max_vertices: Most vertices of the result, at least 100.
         max_edge: Longest edge to leave unsplit, as a share of the largest extent.
         offset: Of the grid, in cells; gives another tessellation of the same surface.
-
-    Raises:
-        CharacterError: The mesh has no surface, or a coordinate is not finite (see `clean_mesh`).
     """
     return network_views(vertices, faces, max_vertices, max_edge, (offset,))[0]
 

@@ -35,11 +35,7 @@ Config = TypeVar("Config")
 
 
 def write_tensors(path: Path, data: bytes) -> None:
-    """Write a file safely: on any failure the old one is untouched.
-
-    Raises:
-        WeightsError: It cannot be written.
-    """
+    """Write a file safely: on any failure the old one is untouched. WeightsError if it cannot be written."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_write(path) as file:
@@ -51,10 +47,8 @@ def write_tensors(path: Path, data: bytes) -> None:
 
 
 def read_tensors(path: Path, kind: str, framework: str = "np") -> tuple[dict[str, Any], dict[str, Any]]:
-    """Tensors by name, of a framework, and the config.
-
-    Raises:
-        WeightsError: The file is missing, of another kind, damaged or cut short.
+    """Tensors by name, of a framework, and the config. WeightsError if the file is missing, of another kind, damaged or
+    cut short.
     """
     with _opened(path, kind, framework) as (file, config):
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a dict
@@ -120,7 +114,7 @@ def halves_of(tensors: dict[str, np.ndarray], names: Iterable[str]) -> None:
 def save_checkpoint(
     path: str | Path, state: Mapping[str, np.ndarray], config: dict[str, object], kind: str, half: bool = False
 ) -> Path:
-    """Write weights with the config that builds their network.
+    """Write weights with the config that builds their network. WeightsError if the file cannot be written.
 
     Args:
         path: The safetensors file.
@@ -129,9 +123,6 @@ def save_checkpoint(
         kind: What the weights are, for example "diffusion"; `load_checkpoint` asks for the same word.
         half: Store matrices as float16 (`planes_of`). Arrays of fewer than 1,024 numbers (statistics, biases) and any
             that overflow float16 stay as they are.
-
-    Raises:
-        WeightsError: The file cannot be written.
     """
     from safetensors.numpy import save
 
@@ -150,10 +141,8 @@ def save_checkpoint(
 
 def load_checkpoint(path: str | Path, kind: str, half: bool = False) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """Read the weights of a kind and their config; float16 comes as float32, or with `half` as it is, for `Weights` to
-    convert.
-
-    Raises:
-        WeightsError: The file is missing, of another kind, damaged or cut short, or holds values that are not numbers.
+    convert. WeightsError if the file is missing, of another kind, damaged or cut short, or holds values that are not
+    numbers.
     """
     path = Path(path)
     tensors, config = read_tensors(path, kind)
@@ -176,16 +165,14 @@ def load_checkpoint(path: str | Path, kind: str, half: bool = False) -> tuple[di
 def load_network(
     path: str | Path, kind: str, build: Callable[[dict[str, object], Weights], Network], *, key: str = "network"
 ) -> Network:
-    """A network of its config and weights.
+    """A network of its config and weights. WeightsError if the file is missing, damaged, of another kind, or its
+    weights do not fit its config.
 
     Args:
         path: The file.
         kind: Of the checkpoint.
         build: Makes the network from its config's fields and its weights.
         key: Of the network's config in the checkpoint's.
-
-    Raises:
-        WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
     """
     state, config = load_checkpoint(path, kind, half=True)
     with fitting_config(path):
@@ -210,10 +197,8 @@ def fitting_config(path: str | Path) -> Iterator[None]:
 
 
 def config_of(kind: type[Config], data: object) -> Config:
-    """The config of a network, a dataclass, from the JSON object of a checkpoint.
-
-    Raises:
-        OptionError: A value is missing or unknown, of another type, or no size that a network has.
+    """The config of a network, a dataclass, from the JSON object of a checkpoint. OptionError if a value is missing or
+    unknown, of another type, or no size that a network has.
     """
     config = from_json(kind, data, "the config")
     for name, value in vars(config).items():
@@ -225,9 +210,7 @@ def config_of(kind: type[Config], data: object) -> Config:
 
 def dated_checkpoint(name: str, path: str | Path | None = None) -> tuple[Path, int]:
     """Path and time of change of a shipped checkpoint, or of another in its place; loaders cache networks by these.
-
-    Raises:
-        WeightsError: The shipped one is not there.
+    WeightsError if the shipped one is not there.
     """
     return dated(shipped_checkpoint(name) if path is None else Path(path))
 
@@ -239,9 +222,7 @@ def dated(path: Path) -> tuple[Path, int]:
 
 def shipped_checkpoint(name: str) -> Path:
     """Path of a checkpoint that comes with Bunraku, for example `shipped_checkpoint("diffusion")` (see `weights_file`).
-
-    Raises:
-        WeightsError: It is not there.
+    WeightsError if it is not there.
     """
     path = weights_file(f"{name}.safetensors")
     if not path.is_file():

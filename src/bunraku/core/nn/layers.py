@@ -339,11 +339,7 @@ class Weights:
         return Weights(self._state, f"{self._prefix}{name}.", self._left)
 
     def array(self, name: str, *shape: int) -> np.ndarray:
-        """One of them, of this shape.
-
-        Raises:
-            ValueError: It is missing, or has another shape.
-        """
+        """One of them, of this shape. ValueError if it is missing, or has another shape."""
         full_name = self._prefix + name
         array = self._state.get(full_name)
         if array is None or array.shape != shape:

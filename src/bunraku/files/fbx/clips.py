@@ -38,21 +38,13 @@ WEIGHT_UNIT = 9999.0
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """One number over time.
+    """One number over time."""
 
-    Args:
-        times: Of the keys [s], ascending, shape (M,).
-        values: At the keys, shape (M,).
-        flags: Interpolation from each key to the next, shape (M,).
-        slopes: Slopes after each key and before the next [1/s], shape (M, 2).
-        weights: Lengths of these tangents as a share of the span, shape (M, 2).
-    """
-
-    times: np.ndarray
-    values: np.ndarray
-    flags: np.ndarray
-    slopes: np.ndarray
-    weights: np.ndarray
+    times: np.ndarray  # of the keys [s], ascending, shape (M,)
+    values: np.ndarray  # at the keys, shape (M,)
+    flags: np.ndarray  # interpolation from each key to the next, shape (M,)
+    slopes: np.ndarray  # slopes after each key and before the next [1/s], shape (M, 2)
+    weights: np.ndarray  # lengths of these tangents as a share of the span, shape (M, 2)
 
     def at(self, moments: np.ndarray) -> np.ndarray:
         """Values at moments [s], held before the first key and after the last, shape (N,)."""
@@ -98,11 +90,7 @@ def _cubic(
 
 
 def read_curve(tree: FbxTree, thing: FbxObject) -> Curve | None:
-    """The curve of an AnimationCurve object, None where it has no keys.
-
-    Raises:
-        FormatError: Its keys do not fit together.
-    """
+    """The curve of an AnimationCurve object, None where it has no keys. FormatError if its keys do not fit together."""
     times, values = thing.node.array("KeyTime") / TICKS, thing.node.array("KeyValueFloat").astype(float)
     if len(times) != len(values) or not np.isfinite(values).all() or (np.diff(times) < 0).any():
         tree.fail(f"a curve of a clip has keys that do not fit together; {BROKEN}")
@@ -160,17 +148,13 @@ _AXES = ("d|X", "d|Y", "d|Z")
 
 @dataclass(frozen=True, eq=False)
 class FbxClip:
-    """A clip.
-
-    Args:
-        name: Its name.
-        start, end: Its span [s].
-        curves: For each (model, property) that it moves, three curves or the numbers that stand for them.
-    """
+    """A clip."""
 
     name: str
+    # start, end: its span [s]
     start: float
     end: float
+    # for each (model, property) that it moves, three curves or the numbers that stand for them
     curves: dict[tuple[int, str], tuple[Curve | float, ...]]
 
     @property
@@ -219,10 +203,8 @@ def find_clip(scene: FbxScene, clips: list[FbxClip], clip: int | str | None) -> 
 
 
 def sample_clip(scene: FbxScene, clip: FbxClip, fps: float) -> tuple[Values, int]:
-    """The values that a clip moves, at a frame rate from its start [1/s], and the number of frames N.
-
-    Raises:
-        FormatError: The clip is too long for the number of models.
+    """The values that a clip moves, at a frame rate from its start [1/s], and the number of frames N. FormatError if
+    the clip is too long for the number of models.
     """
     count = int(np.floor(min(clip.seconds * fps, 1e9) + 1e-3)) + 1
     if count * max(len(scene.models), 1) > MAX_TRANSFORMS:
@@ -250,17 +232,14 @@ def read_motion(path: Path, data: bytes, *, clip: int | str | None = None, fps: 
 
     A joint's rotation is relative to its rest pose, in axes that are ours there, as in all skeletal motions. The rest
     pose is the bind pose of the file's skin; without a skin that of its bind pose object, then the pose without keys,
-    where joints that are oriented by their pre-rotation have no rotation of their own.
+    where joints that are oriented by their pre-rotation have no rotation of their own. FormatError if the file cannot
+    be read, or has no clip that moves a skeleton; OptionError if it has no clip of this name or number.
 
     Args:
         path: The file.
         data: Its bytes.
         clip: Number or name of the clip; the first one that moves something by default.
         fps: Frames a second of the result [1/s].
-
-    Raises:
-        FormatError: The file cannot be read, or has no clip that moves a skeleton.
-        OptionError: It has no clip of this name or number.
     """
     scene = read_scene(read_tree(path, data))
     chosen = find_clip(scene, read_clips(scene), clip)

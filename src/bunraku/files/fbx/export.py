@@ -36,11 +36,8 @@ def write_fbx(
     unit: str = "cm",
 ) -> Path:
     """Write an animation of handles or of the bones of the character's own rig as FBX, with a clip of the file's or
-    another name. Options are those of `save`; most FBX files are in "cm".
-
-    Raises:
-        FormatError: The file cannot be written.
-        OptionError: An option makes no sense.
+    another name. Options are those of `save`; most FBX files are in "cm". FormatError if the file cannot be written;
+    OptionError if an option makes no sense.
     """
     return write_clips({str(name) if name else path.stem: animation}, path, fps=fps, up=up, unit=unit)
 
@@ -80,9 +77,7 @@ def write_points(
 ) -> Path:
     """Write an animation whose vertices also move on their own, by bones of their own or by shapes; `tolerance` and
     `shapes` are those of `files.gltf.write_points.fitted_points`, other options and errors those of `write_fbx`.
-
-    Raises:
-        OptionError: Bones do not come as near as the tolerance.
+    OptionError if bones do not come as near as the tolerance.
     """
     from bunraku.files.gltf.write_points import fitted_points
 
@@ -102,12 +97,9 @@ def write_points(
 def write_character(
     character: Character, handles: Handles | None, path: Path, *, rig: bool = False, up: str = "+y", unit: str = "cm"
 ) -> Path:
-    """Write a character without motion, with its handles or its rig as a skin where there are some.
-
-    Raises:
-        CharacterError: The handles weigh another number of vertices, or there is no rig to write.
-        FormatError: The file cannot be written.
-        OptionError: An option makes no sense.
+    """Write a character without motion, with its handles or its rig as a skin where there are some. CharacterError if
+    the handles weigh another number of vertices, or there is no rig to write; FormatError if the file cannot be
+    written; OptionError if an option makes no sense.
     """
     if handles is not None and len(handles.weights) != len(character.vertices):
         raise CharacterError(

@@ -23,64 +23,39 @@ INFLUENCES = 8
 
 @dataclass(frozen=True, eq=False)
 class FbxMesh:
-    """A mesh with one UV, normal and colour a vertex: a control point whose corners differ occurs several times.
+    """A mesh with one UV, normal and colour a vertex: a control point whose corners differ occurs several times."""
 
-    Args:
-        points: Control points in the mesh's own frame and unit, shape (P, 3).
-        index: Control point of each vertex, the control points themselves first, shape (U,).
-        triangles: Vertices of each triangle, shape (F, 3).
-        materials: Material slot of each triangle, shape (F,).
-        uvs: With v upwards, shape (U, 2).
-        normals: Shape (U, 3).
-        colors: sRGB from 0 to 1, shape (U, 3).
-    """
-
-    points: np.ndarray
-    index: np.ndarray
-    triangles: np.ndarray
-    materials: np.ndarray
-    uvs: np.ndarray | None
-    normals: np.ndarray | None
-    colors: np.ndarray | None
+    points: np.ndarray  # control points in the mesh's own frame and unit, shape (P, 3)
+    index: np.ndarray  # control point of each vertex, the control points themselves first, shape (U,)
+    triangles: np.ndarray  # vertices of each triangle, shape (F, 3)
+    materials: np.ndarray  # material slot of each triangle, shape (F,)
+    uvs: np.ndarray | None  # with v upwards, shape (U, 2)
+    normals: np.ndarray | None  # shape (U, 3)
+    colors: np.ndarray | None  # sRGB from 0 to 1, shape (U, 3)
 
 
 @dataclass(frozen=True, eq=False)
 class Cluster:
-    """What one joint moves of a mesh.
-
-    Args:
-        joint: The joint.
-        transform: From the mesh's frame to the joint's in the bind pose, shape (4, 4).
-        bind: The joint's world transform in the bind pose, shape (4, 4).
-        thing: The object that holds the weights.
-    """
+    """What one joint moves of a mesh."""
 
     joint: FbxObject
-    transform: np.ndarray
-    bind: np.ndarray
-    thing: FbxObject
+    transform: np.ndarray  # from the mesh's frame to the joint's in the bind pose, shape (4, 4)
+    bind: np.ndarray  # the joint's world transform in the bind pose, shape (4, 4)
+    thing: FbxObject  # the object that holds the weights
 
 
 @dataclass(frozen=True, eq=False)
 class FbxSkin:
-    """What moves the control points of a mesh.
+    """What moves the control points of a mesh."""
 
-    Args:
-        clusters: One for each joint.
-        indices: Clusters that move each control point, shape (P, M).
-        weights: Their shares; all zero for a control point that no cluster moves, shape (P, M).
-    """
-
-    clusters: list[Cluster]
-    indices: np.ndarray
-    weights: np.ndarray
+    clusters: list[Cluster]  # one for each joint
+    indices: np.ndarray  # clusters that move each control point, shape (P, M)
+    weights: np.ndarray  # their shares; all zero for a control point that no cluster moves, shape (P, M)
 
 
 def read_mesh(scene: FbxScene, geometry: FbxObject) -> FbxMesh:
-    """The mesh of a Geometry object.
-
-    Raises:
-        FormatError: A polygon uses a control point that does not exist, or the arrays do not fit together.
+    """The mesh of a Geometry object. FormatError if a polygon uses a control point that does not exist, or the arrays
+    do not fit together.
     """
     fail = scene.tree.fail
     numbers, stored = geometry.node.array("Vertices").astype(float), geometry.node.array("PolygonVertexIndex")
@@ -199,10 +174,8 @@ def read_clusters(scene: FbxScene, geometry: FbxObject) -> list[Cluster]:
 
 
 def read_skin(scene: FbxScene, geometry: FbxObject, points: int) -> FbxSkin | None:
-    """The clusters of a mesh of some control points as one skin, None where it has none that can be used.
-
-    Raises:
-        FormatError: A cluster moves a control point that does not exist.
+    """The clusters of a mesh of some control points as one skin, None where it has none that can be used. FormatError
+    if a cluster moves a control point that does not exist.
     """
     clusters = read_clusters(scene, geometry)
     if not clusters:

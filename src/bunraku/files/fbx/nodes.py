@@ -43,28 +43,16 @@ class Allowance:
 
 @dataclass(frozen=True, eq=False)
 class FbxArray:
-    """An array of a node, packed as in the file.
+    """An array of a node, packed as in the file."""
 
-    Args:
-        allowance: Of the file.
-        dtype: Of its elements.
-        count: Number of elements.
-        packed: Whether zlib packed them.
-        data: The bytes of the file, or the elements.
-    """
-
-    allowance: Allowance
-    dtype: np.dtype[Any]
-    count: int
-    packed: bool
-    data: memoryview | np.ndarray
+    allowance: Allowance  # of the file
+    dtype: np.dtype[Any]  # of its elements
+    count: int  # number of elements
+    packed: bool  # whether zlib packed them
+    data: memoryview | np.ndarray  # the bytes of the file, or the elements
 
     def numbers(self) -> np.ndarray:
-        """The elements, shape (count,).
-
-        Raises:
-            FormatError: They are damaged or too large.
-        """
+        """The elements, shape (count,). FormatError if they are damaged or too large."""
         if isinstance(self.data, np.ndarray):
             return self.data
         size = self.count * self.dtype.itemsize
@@ -255,10 +243,8 @@ _SCALARS = {
 
 
 def read_tree(path: Path, data: bytes) -> FbxTree:
-    """The tree of an FBX file, binary or text.
-
-    Raises:
-        FormatError: It is no FBX, of a version that is not read, cut off, or nested beyond reason.
+    """The tree of an FBX file, binary or text. FormatError if it is no FBX, of a version that is not read, cut off, or
+    nested beyond reason.
     """
     if not data.startswith(MAGIC[:18]):
         return read_text_tree(path, data)

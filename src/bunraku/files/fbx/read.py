@@ -31,14 +31,12 @@ class _Placed:
 
 
 def scene_document(scene: FbxScene, fps: float | None = None) -> tuple[Document, np.ndarray]:
-    """The meshes, skins, materials and, with `fps` [1/s], the clips of an FBX file.
+    """The meshes, skins, materials and, with `fps` [1/s], the clips of an FBX file. FormatError if something in the
+    file is broken, or it holds no mesh.
 
     Returns:
         The document in its default pose, and the file's vertex (of all its meshes, one after another) of each document
             vertex, shape (U,).
-
-    Raises:
-        FormatError: Something in the file is broken, or it holds no mesh.
     """
     return _Builder(scene).build(fps)
 
@@ -283,20 +281,16 @@ def read_fbx(path: Path, data: bytes, *, rest: str = "bind", clip_fps: float | N
     """Read an FBX file of version 7.1 to 7.7, binary or text. The vertices are the control points of all meshes in the
     order of the file, in our frame and unit; hidden meshes are left out where others are not, and blend shapes are not
     read. The character rests as in `load_character`; with `clip_fps` [1/s] its document has the file's clips.
-
-    Raises:
-        FormatError: The file is broken, of a version that is not read, or holds no mesh.
-        CharacterError: What it holds is no character.
+    FormatError if the file is broken, of a version that is not read, or holds no mesh; CharacterError if what it holds
+    is no character.
     """
     document, index = scene_document(read_scene(read_tree(path, data)), clip_fps)
     return character_from_document(document, path.stem, index, ".fbx", rest=rest)
 
 
 def fbx_facts(path: Path, data: bytes) -> dict[str, Any]:
-    """Facts about an FBX file: version, program, clips, unit and axes.
-
-    Raises:
-        FormatError: The file is broken, or of a version that is not read.
+    """Facts about an FBX file: version, program, clips, unit and axes. FormatError if the file is broken, or of a
+    version that is not read.
     """
     tree = read_tree(path, data)
     scene = read_scene(tree)

@@ -17,23 +17,14 @@ TICKS = 46_186_158_000
 
 @dataclass(frozen=True, eq=False)
 class FbxObject:
-    """An object of the file.
-
-    Args:
-        id: Its number.
-        kind: `Model`, `Geometry`, `Deformer`, ...
-        subtype: `Mesh`, `LimbNode`, `Skin`, `Cluster`, ...
-        name: Its name.
-        node: Its node in the tree.
-        properties: Its own properties and those of its kind's template.
-    """
+    """An object of the file."""
 
     id: int
-    kind: str
-    subtype: str
+    kind: str  # `Model`, `Geometry`, `Deformer`, ...
+    subtype: str  # `Mesh`, `LimbNode`, `Skin`, `Cluster`, ...
     name: str
     node: FbxNode
-    properties: dict[str, list[Any]]
+    properties: dict[str, list[Any]]  # its own properties and those of its kind's template
 
     def numbers(self, name: str, default: tuple[float, ...]) -> np.ndarray:
         """A property as numbers, shape (len(default),); the default where it has none that are finite."""
@@ -50,16 +41,12 @@ class FbxObject:
 
 @dataclass(frozen=True)
 class Frame:
-    """The frame and unit of a file.
+    """The frame and unit of a file."""
 
-    Args:
-        axes: Rotates its vectors into ours (+Y up, +Z forward), and mirrors those of a left-handed file, shape (3, 3).
-        metres: Its unit of length [m].
-        up, front: Its up and front axes, for messages.
-    """
-
+    # rotates its vectors into ours (+Y up, +Z forward), and mirrors those of a left-handed file, shape (3, 3)
     axes: np.ndarray
-    metres: float
+    metres: float  # its unit of length [m]
+    # up, front: its up and front axes, for messages
     up: str
     front: str
 
@@ -78,23 +65,15 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class FbxScene:
-    """The objects of an FBX file.
-
-    Args:
-        tree: The file.
-        objects: By number.
-        links: For each object, those connected below it, with the property that they drive ("" for none).
-        owners: For each object, those above it, likewise.
-        models: The models, parents first.
-        parents: Index of each model's parent among them, -1 for none.
-    """
+    """The objects of an FBX file."""
 
     tree: FbxTree
-    objects: dict[int, FbxObject]
+    objects: dict[int, FbxObject]  # by number
+    # for each object, those connected below it, with the property that they drive ("" for none)
     links: dict[int, list[tuple[int, str]]]
-    owners: dict[int, list[tuple[int, str]]]
-    models: tuple[FbxObject, ...]
-    parents: np.ndarray
+    owners: dict[int, list[tuple[int, str]]]  # for each object, those above it, likewise
+    models: tuple[FbxObject, ...]  # the models, parents first
+    parents: np.ndarray  # index of each model's parent among them, -1 for none
 
     def below(self, owner: FbxObject, kind: str, subtype: str = "") -> list[FbxObject]:
         """Objects of a kind that are connected below one, in the order of the file."""
@@ -127,11 +106,7 @@ class FbxScene:
 
 
 def read_scene(tree: FbxTree) -> FbxScene:
-    """The objects of a file and their connections.
-
-    Raises:
-        FormatError: There are too many models, or they form a cycle.
-    """
+    """The objects of a file and their connections. FormatError if there are too many models, or they form a cycle."""
     templates = {}
     for entry in tree.section("Definitions").all("ObjectType"):
         template = entry.child("PropertyTemplate")

@@ -26,17 +26,11 @@ MOST_UVS = 8
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A shape that a mesh can be blended to.
-
-    Args:
-        name: Its name.
-        offsets: Displacement of each vertex [m], shape (V, 3).
-        amount: Its amount where nothing moves, 0 to 1.
-    """
+    """A shape that a mesh can be blended to."""
 
     name: str
-    offsets: np.ndarray
-    amount: float = 0.0
+    offsets: np.ndarray  # displacement of each vertex [m], shape (V, 3)
+    amount: float = 0.0  # its amount where nothing moves, 0 to 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,27 +43,16 @@ class Layer:
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A mesh in the rest pose, in the world.
-
-    Args:
-        name: Its name.
-        index: The character's vertex of each of its own, shape (V,).
-        faces: Triangles, shape (F, 3).
-        materials: The material of each in the document, -1 for none, shape (F,).
-        normals: Or None.
-        uvs: Sets of texture coordinates, v downwards.
-        colors: Linear colours and opacity, (U, 4), or None.
-        shapes: Those that the file has.
-    """
+    """A mesh in the rest pose, in the world."""
 
     name: str
-    index: np.ndarray
-    faces: np.ndarray
-    materials: np.ndarray
+    index: np.ndarray  # the character's vertex of each of its own, shape (V,)
+    faces: np.ndarray  # triangles, shape (F, 3)
+    materials: np.ndarray  # the material of each in the document, -1 for none, shape (F,)
     normals: Layer | None
-    uvs: list[Layer]
-    colors: Layer | None
-    shapes: list[Shape]
+    uvs: list[Layer]  # sets of texture coordinates, v downwards
+    colors: Layer | None  # linear colours and opacity, (U, 4), or None
+    shapes: list[Shape]  # those that the file has
 
 
 def meshes_of(character: Character) -> tuple[Document, list[Mesh]]:
@@ -195,15 +178,10 @@ def uv_name(number: int) -> str:
 
 @dataclass
 class Look:
-    """The materials of a document that are used, each once, with its textures inside the file.
+    """The materials of a document that are used, each once, with its textures inside the file."""
 
-    Args:
-        objects: Where they go.
-        document: Where they come from.
-    """
-
-    objects: Objects
-    document: Document
+    objects: Objects  # where they go
+    document: Document  # where they come from
     _materials: dict[int, int] = field(default_factory=dict)
     _textures: dict[tuple[int, int], int | None] = field(default_factory=dict)
 

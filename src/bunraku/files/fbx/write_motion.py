@@ -17,35 +17,22 @@ from bunraku.files.gltf.write import joint_tracks
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """The joints in a clip, each in its parent's frame.
+    """The joints in a clip, each in its parent's frame."""
 
-    Args:
-        rotations: Shape (N, J, 3, 3).
-        translations: Positions of their heads [m], shape (N, J, 3).
-        fps: Frames a second [1/s].
-    """
-
-    rotations: np.ndarray
-    translations: np.ndarray
-    fps: float
+    rotations: np.ndarray  # shape (N, J, 3, 3)
+    translations: np.ndarray  # positions of their heads [m], shape (N, J, 3)
+    fps: float  # frames a second [1/s]
 
 
 @dataclass(frozen=True, eq=False)
 class Bones:
-    """Joints and the skin that hangs on them.
+    """Joints and the skin that hangs on them."""
 
-    Args:
-        names: Their names, length J.
-        parents: The parent of each, -1 for a root, shape (J,).
-        rotations: World rotation of each where the skin is bound, shape (J, 3, 3).
-        positions: Positions of their heads there [m], shape (J, 3).
-        indices, weights: Joints that move each vertex of the character and their shares, shape (V, M); rows sum to 1.
-    """
-
-    names: tuple[str, ...]
-    parents: np.ndarray
-    rotations: np.ndarray
-    positions: np.ndarray
+    names: tuple[str, ...]  # their names, length J
+    parents: np.ndarray  # the parent of each, -1 for a root, shape (J,)
+    rotations: np.ndarray  # world rotation of each where the skin is bound, shape (J, 3, 3)
+    positions: np.ndarray  # positions of their heads there [m], shape (J, 3)
+    # indices, weights: joints that move each vertex of the character and their shares, shape (V, M); rows sum to 1
     indices: np.ndarray
     weights: np.ndarray
 
@@ -164,17 +151,11 @@ _BEZIER_DEFAULTS = np.zeros(4, np.float32)
 
 @dataclass(frozen=True, eq=False)
 class ShapeTrack:
-    """The shapes of a mesh in a clip.
+    """The shapes of a mesh in a clip."""
 
-    Args:
-        channels: The number of each shape's channel, length T.
-        frames: Frames that have keys, ascending, shape (F,).
-        weights: Amount of each from 0 to 1, shape (F, T).
-    """
-
-    channels: Sequence[int]
-    frames: np.ndarray
-    weights: np.ndarray
+    channels: Sequence[int]  # the number of each shape's channel, length T
+    frames: np.ndarray  # frames that have keys, ascending, shape (F,)
+    weights: np.ndarray  # amount of each from 0 to 1, shape (F, T)
 
 
 @dataclass(frozen=True, eq=False)

@@ -38,17 +38,12 @@ _KINDS: dict[str, tuple[str, str, str]] = {
 
 @dataclass
 class Element:
-    """An element.
-
-    Args:
-        name: Its name.
-        values: Booleans, integers (32 bits; `numpy.int64` for 64), floats, text, bytes and arrays.
-        children: Elements below it.
-    """
+    """An element."""
 
     name: str
+    # Booleans, integers (32 bits; `numpy.int64` for 64), floats, text, bytes and arrays.
     values: list[Any] = field(default_factory=list)
-    children: list[Element] = field(default_factory=list)
+    children: list[Element] = field(default_factory=list)  # elements below it
 
 
 def element(name: str, *values: Any, children: Sequence[Element] = ()) -> Element:
@@ -67,11 +62,7 @@ def properties(*entries: Element) -> Element:
 
 
 def write_elements(file: BinaryIO, elements: Sequence[Element]) -> None:
-    """Write a file of some elements.
-
-    Raises:
-        ValueError: It would have more than 4 GiB.
-    """
+    """Write a file of some elements. ValueError if it would have more than 4 GiB."""
     out = bytearray(_MAGIC + struct.pack("<I", VERSION))
     for element in elements:
         _append(out, element)
@@ -138,17 +129,11 @@ class Span:
 
 @dataclass
 class Objects:
-    """Objects and connections of a file.
+    """Objects and connections of a file."""
 
-    Args:
-        frame: The axes and the unit of the file.
-        up: The axis that is up in it, "+y" or "+z".
-        unit: Its unit of length.
-    """
-
-    frame: FileFrame
-    up: str
-    unit: str
+    frame: FileFrame  # the axes and the unit of the file
+    up: str  # the axis that is up in it, "+y" or "+z"
+    unit: str  # its unit of length
     spans: list[Span] = field(default_factory=list)
     fps: float = 30.0
     _objects: list[Element] = field(default_factory=list)

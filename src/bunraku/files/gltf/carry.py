@@ -295,10 +295,8 @@ _OUTPUTS = {"translation": ("VEC3",), "rotation": ("VEC4",), "scale": ("VEC3",),
 
 
 def clip_number(path: Path, names: list[str], clip: int | str) -> int:
-    """Number of a clip by its number or name, with or without its armature's name before a bar.
-
-    Raises:
-        OptionError: There is no clip of this name or number.
+    """Number of a clip by its number or name, with or without its armature's name before a bar. OptionError if there is
+    no clip of this name or number.
     """
     for known in (names, [name.rsplit("|", 1)[-1] for name in names]):  # exporters write "Armature|Walk"
         if clip in known:

@@ -28,15 +28,13 @@ SAME_BONES = 1e-3
 
 
 def merge_documents(paths: Sequence[Path], path: Path, *, only: Collection[str] | None = None) -> Path:
-    """Write the first file with the clips of all others after its own, onto the nodes of the same names.
+    """Write the first file with the clips of all others after its own, onto the nodes of the same names. FormatError if
+    a file is broken or holds no clip, or is of another character.
 
     Args:
         paths: GLB, glTF or VRM files of one character, at least one.
         path: The file to write, which may be one of them.
         only: Names of the clips that are taken from the others; all where None.
-
-    Raises:
-        FormatError: A file is broken or holds no clip, or is of another character.
     """
     base, *others = [_opened(file) for file in paths]
     builder = whole_document(base)
@@ -79,9 +77,7 @@ def _opened(path: Path) -> Document:
 
 def _same_nodes(base: Document, other: Document) -> dict[int, int]:
     """Node of one document for each animated node of another, by names from the root, or by names that occur once.
-
-    Raises:
-        FormatError: One has no counterpart, or rests elsewhere.
+    FormatError if one has no counterpart, or rests elsewhere.
     """
     ours, theirs = _lines(base), _lines(other)
     by_line = {line: node for node, line in reversed(list(enumerate(ours)))}
@@ -218,17 +214,14 @@ def write_stretches(
 ) -> Path:
     """Write stretches of one character as one clip of a GLB. The first frame of each after the first is the last of the
     one before, and is written once. Such a file does not hold the handle motion bit for bit, which `bunraku edit` and
-    `--after` read.
+    `--after` read. FormatError if the file cannot be written; OptionError if there is no stretch, `fps` is out of
+    range, or vertices move on their own.
 
     Args:
         stretches: One after the other, as `Animator.stretches` gives them: of handles or of bones.
         path: The file, .glb.
         fps: Frames a second of the keys [1/s]; those of the motion by default.
         name: The clip's name; the file's by default.
-
-    Raises:
-        FormatError: The file cannot be written.
-        OptionError: There is no stretch, `fps` is out of range, or vertices move on their own.
     """
     path = Path(path)
     if path.suffix.lower() != ".glb":

@@ -48,21 +48,14 @@ MAX_ELEMENTS = 50_000_000
 
 @dataclass(frozen=True, eq=False)
 class Document:
-    """A glTF document.
+    """A glTF document."""
 
-    Args:
-        path: Where it came from, for messages.
-        tree: The JSON object.
-        buffers: The bytes of each buffer; those that name one file share them.
-        images: Bytes of the images that are files or data URIs, by image index; None where the file is missing.
-        size: Bytes of the file and of the files that it names, each once; 0 for a document in memory only.
-    """
-
-    path: Path
-    tree: dict[str, Any]
-    buffers: list[bytes | memoryview]
+    path: Path  # where it came from, for messages
+    tree: dict[str, Any]  # the JSON object
+    buffers: list[bytes | memoryview]  # the bytes of each buffer; those that name one file share them
+    # Bytes of the images that are files or data URIs, by image index; None where the file is missing.
     images: dict[int, bytes | None]
-    size: int = 0
+    size: int = 0  # bytes of the file and of the files that it names, each once; 0 for a document in memory only
 
     def __getstate__(self) -> dict[str, Any]:
         """What is pickled: views into the file as bytes of their own."""
@@ -349,10 +342,8 @@ class GltfBuilder:
         return Document(path, self.tree, [data] if data else [], {})
 
     def write(self, file: BinaryIO) -> None:
-        """Write the document as GLB.
-
-        Raises:
-            ValueError: It is larger than a GLB can be, or the tree holds numbers that JSON lacks.
+        """Write the document as GLB. ValueError if it is larger than a GLB can be, or the tree holds numbers that JSON
+        lacks.
         """
         if self.length:
             self.tree["buffers"] = [{"byteLength": self.length}]

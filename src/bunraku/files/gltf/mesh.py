@@ -47,40 +47,26 @@ _VERTEX, _INFLUENCE, _TRIANGLE = 72, 32, 40
 
 @dataclass(frozen=True)
 class PrimitiveData:
-    """The vertices that one or several primitives of a mesh share.
+    """The vertices that one or several primitives of a mesh share."""
 
-    Args:
-        primitives: Indices of the primitives in their mesh.
-        vertices: Default-pose positions in world space [m], shape (V, 3), float64.
-        triangles: For each primitive, vertex indices, shape (F, 3), int32.
-        joints: Joints of the merged list, shape (V, M).
-        weights: Their shares, rows sum to 1, shape (V, M); empty where there is no rig.
-    """
-
-    primitives: tuple[int, ...]
-    vertices: np.ndarray
-    triangles: tuple[np.ndarray, ...]
-    joints: np.ndarray
-    weights: np.ndarray
+    primitives: tuple[int, ...]  # indices of the primitives in their mesh
+    vertices: np.ndarray  # default-pose positions in world space [m], shape (V, 3), float64
+    triangles: tuple[np.ndarray, ...]  # for each primitive, vertex indices, shape (F, 3), int32
+    joints: np.ndarray  # joints of the merged list, shape (V, M)
+    weights: np.ndarray  # their shares, rows sum to 1, shape (V, M); empty where there is no rig
 
 
 @dataclass(frozen=True)
 class MeshPart:
-    """A mesh where a node places it.
+    """A mesh where a node places it."""
 
-    Args:
-        node, mesh: The node and its mesh.
-        transform: From raw positions to the rest pose, shape (4, 4), or None where the skin bends the mesh in its rest
-            pose.
-        mirrored: Whether the transform turns the triangles inside out; those of the groups are turned back.
-        groups: Its vertices.
-    """
-
+    # node, mesh: the node and its mesh
     node: int
     mesh: int
+    # from raw positions to the rest pose, shape (4, 4), or None where the skin bends the mesh in its rest pose
     transform: np.ndarray | None
-    mirrored: bool
-    groups: tuple[PrimitiveData, ...]
+    mirrored: bool  # whether the transform turns the triangles inside out; those of the groups are turned back
+    groups: tuple[PrimitiveData, ...]  # its vertices
 
     def split(self, rows: np.ndarray) -> Iterator[tuple[PrimitiveData, np.ndarray]]:
         """The groups, each with its own of some rows over all of them."""
@@ -137,16 +123,14 @@ def primitive_triangles(document: Document, primitive: dict[str, object], count:
 
 
 def read_part(document: Document, tree: NodeTree, skins: SkinJoints, node: int, carrier: int) -> MeshPart:
-    """A mesh in world space, in the default pose of its node or of its skin.
+    """A mesh in world space, in the default pose of its node or of its skin. FormatError if an index, a count or a type
+    is wrong.
 
     Args:
         document: The document.
         tree, skins: Its nodes and joints.
         node: A node with a mesh.
         carrier: The joint that carries it where it has no skin (`rigid_joints`).
-
-    Raises:
-        FormatError: An index, a count or a type is wrong.
     """
     entry = document.item("nodes", node)
     mesh = document.integer(entry, "mesh")

@@ -17,19 +17,12 @@ MAX_SLOTS = 300_000  # joints of all skins: many skins may name the same ones, a
 
 @dataclass(frozen=True)
 class NodeTree:
-    """The nodes of a document in a pose, the default one from `read_nodes`.
+    """The nodes of a document in a pose, the default one from `read_nodes`."""
 
-    Args:
-        parents: Parent of each node, shape (M,); -1 for a root.
-        world: World transform of each node in this pose [m], shape (M, 4, 4).
-        scene: Nodes of the default scene, ascending.
-        local: Transform of each node in its parent as in the file, whatever the pose, shape (M, 4, 4).
-    """
-
-    parents: np.ndarray
-    world: np.ndarray
-    scene: list[int]
-    local: np.ndarray
+    parents: np.ndarray  # parent of each node, shape (M,); -1 for a root
+    world: np.ndarray  # world transform of each node in this pose [m], shape (M, 4, 4)
+    scene: list[int]  # nodes of the default scene, ascending
+    local: np.ndarray  # transform of each node in its parent as in the file, whatever the pose, shape (M, 4, 4)
 
     @cached_property
     def order(self) -> list[int]:
@@ -61,23 +54,16 @@ class NodeTree:
 
 @dataclass(frozen=True)
 class SkinJoints:
-    """The joints of all skins, each node once.
+    """The joints of all skins, each node once."""
 
-    Args:
-        nodes: Node of each joint, length J.
-        slots: For each skin, the joint of each of its slots.
-        inverse: For each skin, the inverse bind matrix of each slot, shape (slots, 4, 4).
-        bind: For each skin, the transform of a raw mesh to the pose of the tree through each slot, shape (slots, 4, 4).
-        mirrored: Whether each skin turns its meshes inside out.
-        idle: Joints that move nothing, shape (J,), bool: beside a tree of others, without a joint above or below, and
-            in no clip. Blender writes one for the vertices that have no weights.
-    """
-
-    nodes: list[int]
-    slots: list[np.ndarray]
-    inverse: list[np.ndarray]
+    nodes: list[int]  # node of each joint, length J
+    slots: list[np.ndarray]  # for each skin, the joint of each of its slots
+    inverse: list[np.ndarray]  # for each skin, the inverse bind matrix of each slot, shape (slots, 4, 4)
+    # for each skin, the transform of a raw mesh to the pose of the tree through each slot, shape (slots, 4, 4)
     bind: list[np.ndarray]
-    mirrored: list[bool]
+    mirrored: list[bool]  # whether each skin turns its meshes inside out
+    # Joints that move nothing, shape (J,), bool: beside a tree of others, without a joint above or below, and in no
+    # clip. Blender writes one for the vertices that have no weights.
     idle: np.ndarray
 
 
@@ -91,11 +77,8 @@ def posed_skins(skins: SkinJoints, tree: NodeTree) -> SkinJoints:
 
 def read_nodes(document: Document) -> NodeTree:
     """World transforms and the default scene of a document. A VRM 0.x avatar looks along -Z; it is turned to look along
-    +Z, as glTF and VRM 1.0 do.
-
-    Raises:
-        FormatError: The tree has a cycle or a node with two parents, a transform is not finite, or there are too many
-            nodes.
+    +Z, as glTF and VRM 1.0 do. FormatError if the tree has a cycle or a node with two parents, a transform is not
+    finite, or there are too many nodes.
     """
     nodes = document.items("nodes")
     if len(nodes) > MAX_NODES:
@@ -158,10 +141,8 @@ def _scene_nodes(document: Document, parents: np.ndarray, children: list[list[in
 
 
 def read_skins(document: Document, tree: NodeTree) -> SkinJoints:
-    """Merge the joints of all skins into one list.
-
-    Raises:
-        FormatError: A skin has no joints, or fewer inverse bind matrices than joints, or there are too many joints.
+    """Merge the joints of all skins into one list. FormatError if a skin has no joints, or fewer inverse bind matrices
+    than joints, or there are too many joints.
     """
     merged: dict[int, int] = {}
     slots, inverses, total = [], [], 0

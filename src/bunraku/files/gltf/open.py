@@ -30,11 +30,8 @@ SECONDS = 120
 
 def unpack_primitives(document: Document) -> None:
     """Give the compressed primitives of a document plain accessors, in place. Primitives whose accessors have data of
-    their own, as in files for viewers without Draco, are read from there.
-
-    Raises:
-        FormatError: A primitive is broken, or takes more memory than the file may.
-        MissingExtraError: The package that unpacks them is not installed.
+    their own, as in files for viewers without Draco, are read from there. FormatError if a primitive is broken, or
+    takes more memory than the file may; MissingExtraError if the package that unpacks them is not installed.
     """
     packed: dict[int, list[tuple[dict[str, Any], dict[str, Any]]]] = {}
     for mesh in document.items("meshes"):
@@ -153,11 +150,8 @@ _FILTERS: dict[str, tuple[str, tuple[int, ...]]] = {
 
 def unpack_views(document: Document) -> None:
     """Replace the compressed buffer views of a document by plain ones, in place. A view that also lies uncompressed in
-    its buffer is read from there.
-
-    Raises:
-        FormatError: A view is broken, or takes more memory than the file may.
-        MissingExtraError: The package that unpacks them is not installed.
+    its buffer is read from there. FormatError if a view is broken, or takes more memory than the file may;
+    MissingExtraError if the package that unpacks them is not installed.
     """
     packed: list[tuple[int, dict[str, Any], dict[str, Any]]] = []
     for index, view in enumerate(document.items("bufferViews")):
@@ -259,12 +253,8 @@ _UNDERSTOOD = (
 
 def open_document(path: Path, data: bytes) -> Document:
     """Parse a GLB or glTF file and unpack what is compressed in it. Buffers and images are looked for in its folder
-    only.
-
-    Raises:
-        FormatError: The file is truncated or broken, needs an extension that is not understood, or points outside its
-            folder.
-        MissingExtraError: Its meshes are compressed, and the package that unpacks them is not installed.
+    only. FormatError if the file is truncated or broken, needs an extension that is not understood, or points outside
+    its folder; MissingExtraError if its meshes are compressed, and the package that unpacks them is not installed.
     """
     if data[:4] == b"glTF":
         text, chunk = _glb_chunks(path, data)

@@ -24,26 +24,18 @@ MAX_COORDINATE = 1e12
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """Where a character came from, so that a writer can give it back untouched.
+    """Where a character came from, so that a writer can give it back untouched."""
 
-    Args:
-        document: The glTF document that was read, or that stands for a file of another format.
-        tree: Its nodes in the character's rest pose.
-        skins: Its joints in that pose.
-        parts: Its meshes where nodes and skins place them.
-        index: Character vertex of each document vertex, parts, groups and vertices in order, shape (U,). Other formats
-            have fewer vertices than their document where a seam splits one in two.
-        suffix: The format of the file.
-        moved: Transform of each vertex of the character from the pose of the tree to its rest position, shape (V, 4,
-            4); None for none.
-    """
-
-    document: Document
-    tree: NodeTree
-    skins: SkinJoints
-    parts: tuple[MeshPart, ...]
+    document: Document  # the glTF document that was read, or that stands for a file of another format
+    tree: NodeTree  # its nodes in the character's rest pose
+    skins: SkinJoints  # its joints in that pose
+    parts: tuple[MeshPart, ...]  # its meshes where nodes and skins place them
+    # Character vertex of each document vertex, parts, groups and vertices in order, shape (U,). Other formats have
+    # fewer vertices than their document where a seam splits one in two.
     index: np.ndarray
-    suffix: str = ".glb"
+    suffix: str = ".glb"  # the format of the file
+    # Transform of each vertex of the character from the pose of the tree to its rest position, shape (V, 4, 4); None
+    # for none.
     moved: np.ndarray | None = None
 
     def placed(self) -> Iterator[tuple[MeshPart, np.ndarray]]:
@@ -60,11 +52,8 @@ def read_gltf(path: Path, data: bytes, *, rest: str = "bind") -> Character:
     """Read a GLB, glTF or VRM file, which rests as in `load_character`.
 
     The vertices are those of all primitives in node order, in world space in the rest pose; primitives of one mesh that
-    share their positions share their vertices.
-
-    Raises:
-        FormatError: The file is broken, or needs what is not read.
-        CharacterError: What it holds is no character.
+    share their positions share their vertices. FormatError if the file is broken, or needs what is not read;
+    CharacterError if what it holds is no character.
     """
     return character_from_document(open_document(path, data), path.stem, rest=rest)
 
@@ -72,7 +61,8 @@ def read_gltf(path: Path, data: bytes, *, rest: str = "bind") -> Character:
 def character_from_document(
     document: Document, name: str, index: np.ndarray | None = None, suffix: str = ".glb", *, rest: str = "bind"
 ) -> Character:
-    """The character of a glTF document.
+    """The character of a glTF document. FormatError if the document is broken; CharacterError if what it holds is no
+    character.
 
     Args:
         document: The document.
@@ -80,10 +70,6 @@ def character_from_document(
         index: Character vertex of each document vertex where the document repeats vertices of its file, shape (U,).
         suffix: The format of the file.
         rest: Its rest pose, "bind" or "default".
-
-    Raises:
-        FormatError: The document is broken.
-        CharacterError: What it holds is no character.
     """
     tree = read_nodes(document)
     skins = read_skins(document, tree)
@@ -146,9 +132,7 @@ def _rig(document: Document, tree: NodeTree, skins: SkinJoints, parts: tuple[Mes
 
 def rotated(character: Character, up: str, front: str) -> Character:
     """The character with the axis `up` ("+x", "-x", "+y", "-y", "+z" or "-z") rotated to +Y and the axis `front` to +Z.
-
-    Raises:
-        OptionError: The two are no axes at a right angle.
+    OptionError if the two are no axes at a right angle.
     """
     rotation = upright_rotation(up, front)
     said = character.corrections
@@ -168,10 +152,8 @@ def rotated(character: Character, up: str, front: str) -> Character:
 
 
 def scaled(character: Character, factor: float) -> Character:
-    """The character times a factor, about the origin.
-
-    Raises:
-        OptionError: Its file has rigid bodies or springs, whose sizes would stay.
+    """The character times a factor, about the origin. OptionError if its file has rigid bodies or springs, whose sizes
+    would stay.
     """
     if factor == 1:
         return character

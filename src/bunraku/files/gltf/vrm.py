@@ -22,10 +22,7 @@ _log = logging.getLogger(__name__)
 
 def read_vrm(document: Document) -> VrmModel | None:
     """What a document with VRM's extensions holds, None where it has none. Broken springs and colliders are left out
-    with a warning.
-
-    Raises:
-        FormatError: The nodes of the document are broken.
+    with a warning. FormatError if the nodes of the document are broken.
     """
     extensions = document.extensions
     if not {"VRM", "VRMC_vrm"} & extensions.keys():

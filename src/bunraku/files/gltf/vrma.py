@@ -40,11 +40,8 @@ MOST_ROTATIONS = 1_500_000  # ten minutes of all bones at 30 frames a second
 
 
 def read_glb_motion(path: Path, data: bytes) -> HandleMotion | SkeletalMotion:
-    """The motion of a GLB: that of VRM's humanoid in a VRMA, the handle motion in a GLB of Bunraku.
-
-    Raises:
-        FormatError: The file is broken, or holds neither.
-        MotionError: What it holds breaks the rules of a motion.
+    """The motion of a GLB: that of VRM's humanoid in a VRMA, the handle motion in a GLB of Bunraku. FormatError if the
+    file is broken, or holds neither; MotionError if what it holds breaks the rules of a motion.
     """
     from bunraku.files.gltf.write import read_motion
 
@@ -55,16 +52,13 @@ def read_glb_motion(path: Path, data: bytes) -> HandleMotion | SkeletalMotion:
 
 
 def load_skeleton_clip(path: str | Path, clip: int | str = 0, fps: float = FPS) -> SkeletalMotion | None:
-    """A clip of a glTF file that holds a skeleton without a mesh; None of other files.
+    """A clip of a glTF file that holds a skeleton without a mesh; None of other files. FormatError if the file is
+    broken; OptionError if there is no such clip.
 
     Args:
         path: The file.
         clip: Number or name of the clip.
         fps: Frames a second of the result [1/s].
-
-    Raises:
-        FormatError: The file is broken.
-        OptionError: There is no such clip.
     """
     path = Path(path)
     document = open_document(path, read_bounded(path))
@@ -95,11 +89,8 @@ def _of_nodes(document: Document, clip: int | str, fps: float) -> SkeletalMotion
 
 def read_vrma(path: Path, data: bytes) -> SkeletalMotion:
     """Read a VRMA: the humanoid bones that it has under VRM's names ("hips", "leftUpperArm"), with rotations relative
-    to the T-pose, at the rate of its keys, or at 30 frames a second where they are not evenly spaced.
-
-    Raises:
-        FormatError: The file is broken, or no VRMA.
-        MotionError: A value is not a number.
+    to the T-pose, at the rate of its keys, or at 30 frames a second where they are not evenly spaced. FormatError if
+    the file is broken, or no VRMA; MotionError if a value is not a number.
     """
     return _motion(open_document(path, data))
 
@@ -195,18 +186,14 @@ def _unscaled(matrices: np.ndarray) -> np.ndarray:
 
 def write_vrma(motion: SkeletalMotion, path: str | Path, *, fps: float | None = None, name: str | None = None) -> Path:
     """Write a skeletal motion as VRMA. Players scale the path of the hips by the height of the hips at rest, so the
-    skeleton is written standing on y = 0.
+    skeleton is written standing on y = 0. FormatError if the file cannot be written; MotionError if the skeleton does
+    not have SMPL's 22 joints; OptionError if `fps` is not a number from 1 to 1000, or the motion has no frame.
 
     Args:
         motion: Of SMPL's 22 joints; `bunraku.anatomy.names.to_smpl` converts other skeletons.
         path: The file.
         fps: Frames a second of the keys [1/s]; those of the motion by default.
         name: The clip's name; the file's by default.
-
-    Raises:
-        FormatError: The file cannot be written.
-        MotionError: The skeleton does not have SMPL's 22 joints.
-        OptionError: `fps` is not a number from 1 to 1000, or the motion has no frame.
     """
     path = Path(path)
     if not len(motion):
@@ -254,12 +241,8 @@ def write_avatar(
     character: Character, handles: Handles | None, path: Path, *, rig: bool = False, avatar: VrmModel | None = None
 ) -> Path:
     """Write a person as VRM, with the springs and colliders of an avatar; the arguments are those of the registry's
-    writers.
-
-    Raises:
-        CharacterError: It has no rig in a T-pose with VRM's names, as `bunraku.with_skeleton(character, "vrm")` makes
-            one.
-        FormatError: The file cannot be written.
+    writers. CharacterError if it has no rig in a T-pose with VRM's names, as `bunraku.with_skeleton(character, "vrm")`
+    makes one; FormatError if the file cannot be written.
     """
     hint = "make one with --skeleton vrm, or with `bunraku.with_skeleton`"
     if character.rig is None or not rig or handles is not None:

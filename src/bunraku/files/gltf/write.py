@@ -51,21 +51,14 @@ def drop_clip(tree: dict[str, object]) -> dict[str, Any]:
 
 
 def read_motion(path: Path, data: bytes) -> HandleMotion:
-    """The handle motion of a GLB that Bunraku wrote, in the frame of its character.
-
-    Raises:
-        FormatError: The file is broken, or holds none.
-        MotionError: What it holds breaks the rules of a motion.
+    """The handle motion of a GLB that Bunraku wrote, in the frame of its character. FormatError if the file is broken,
+    or holds none; MotionError if what it holds breaks the rules of a motion.
     """
     return read_npz(path, packed_motion(path, data))
 
 
 def packed_motion(path: Path, data: bytes) -> bytes:
-    """The NPZ in a GLB that Bunraku wrote.
-
-    Raises:
-        FormatError: The file is broken, or holds none.
-    """
+    """The NPZ in a GLB that Bunraku wrote. FormatError if the file is broken, or holds none."""
     document = open_document(path, data)
     extras = document.tree["asset"].get("extras")
     view = extras.get(KEY) if isinstance(extras, dict) else None
@@ -79,10 +72,8 @@ def packed_motion(path: Path, data: bytes) -> bytes:
 
 
 def clip_handles(path: Path, character: Character) -> Handles:
-    """The handles that a file of `Animation.save` or `bunraku rig` has for joints, up to rounding.
-
-    Raises:
-        FormatError: The joints are others.
+    """The handles that a file of `Animation.save` or `bunraku rig` has for joints, up to rounding. FormatError if the
+    joints are others.
     """
     rig = character.rig
     roles = [_role(name) for name in rig.names] if rig is not None else []
@@ -180,11 +171,7 @@ def add_motion(builder: GltfBuilder, joints: list[int], positions: np.ndarray, m
 
 def write_animation(animation: Animation, path: Path, *, fps: float | None = None, name: str | None = None) -> Path:
     """Write an animation as GLB, with a clip of the file's or another name; channels have `fps` [1/s] or the motion's
-    rate.
-
-    Raises:
-        FormatError: The file cannot be written.
-        OptionError: `fps` is not a number from 1 to 1000.
+    rate. FormatError if the file cannot be written; OptionError if `fps` is not a number from 1 to 1000.
     """
     return write_clips({str(name) if name else path.stem: animation}, path, fps=fps)
 

@@ -32,17 +32,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Shapes:
-    """Shapes and their amounts over time.
+    """Shapes and their amounts over time."""
 
-    Args:
-        shapes: Displacements [m], shape (T, M, 3), float32.
-        frames: Frames that have keys, ascending, shape (F,); between them weights are linear.
-        weights: Weights from 0 to 1, shape (F, T), float32.
-    """
-
-    shapes: np.ndarray
-    frames: np.ndarray
-    weights: np.ndarray
+    shapes: np.ndarray  # displacements [m], shape (T, M, 3), float32
+    frames: np.ndarray  # frames that have keys, ascending, shape (F,); between them weights are linear
+    weights: np.ndarray  # weights from 0 to 1, shape (F, T), float32
 
     @property
     def size(self) -> int:
@@ -143,17 +137,15 @@ def write_point_animation(
     tolerance: float | None = None,
     shapes: str = "auto",
 ) -> Path:
-    """Write an animation whose vertices also move on their own as GLB; options are those of `write_animation` and:
+    """Write an animation whose vertices also move on their own as GLB; further options are those of
+    `write_animation`. FormatError if the file cannot be written; OptionError if an option makes no sense, or no bones
+    of this number come as near as the tolerance.
 
     Args:
         tolerance: Largest error of a vertex [m]; 0.05 % of the height by default.
         shapes: "bones" fits bones to the movement; "mixed" takes the fewest morph targets that all frames are mixed of;
             "keys" those of some frames, of which at most two show at any time, for players that cannot mix many. Those
             files are larger, by far where cloth moves fast. "auto" takes bones or mixed targets, whichever are smaller.
-
-    Raises:
-        FormatError: The file cannot be written.
-        OptionError: An option makes no sense, or no bones of this number come as near as the tolerance.
     """
     moved = animation.at(checked_fps(fps, animation.motion.fps))
     fitted = fitted_points(moved, tolerance, shapes)
@@ -169,27 +161,18 @@ def write_point_animation(
 
 @dataclass(frozen=True, eq=False)
 class FittedPoints:
-    """What plays vertices that move on their own.
+    """What plays vertices that move on their own."""
 
-    Args:
-        animation: The skinned part, with the bones of those vertices where they have some.
-        names: Of its handles and bones.
-        moving: Vertices that move on their own, shape (M,).
-        shapes: Their shapes, where they have no bones.
-    """
-
-    animation: Animation
-    names: tuple[str, ...]
-    moving: np.ndarray
-    shapes: Shapes | None
+    animation: Animation  # the skinned part, with the bones of those vertices where they have some
+    names: tuple[str, ...]  # of its handles and bones
+    moving: np.ndarray  # vertices that move on their own, shape (M,)
+    shapes: Shapes | None  # their shapes, where they have no bones
 
 
 def fitted_points(moved: PointAnimation, tolerance: float | None = None, shapes: str = "auto") -> FittedPoints:
     """Bones or shapes for vertices that move on their own, for files. The animation is at the rate of the file; further
-    arguments are those of `write_point_animation`.
-
-    Raises:
-        OptionError: An option makes no sense, or no bones of this number come as near as the tolerance.
+    arguments are those of `write_point_animation`. OptionError if an option makes no sense, or no bones of this number
+    come as near as the tolerance.
     """
     if shapes not in ("auto", "bones", "keys", "mixed"):
         raise OptionError(f"shapes are 'auto', 'bones', 'keys' or 'mixed', not {shapes!r}")
@@ -275,19 +258,12 @@ def _joined(animation: Animation, moving: np.ndarray, found: RigidBones) -> Anim
 
 @dataclass(frozen=True, eq=False)
 class GroupShapes:
-    """What shapes do to the vertices that some primitives of a mesh share.
+    """What shapes do to the vertices that some primitives of a mesh share."""
 
-    Args:
-        primitives: Which of the mesh's primitives, counted as in its source.
-        count: How many vertices they have.
-        rows: Those that move, ascending, shape (R,).
-        shapes: Their displacement by each shape, in the mesh's own frame, shape (T, R, 3).
-    """
-
-    primitives: tuple[int, ...]
-    count: int
-    rows: np.ndarray
-    shapes: np.ndarray
+    primitives: tuple[int, ...]  # which of the mesh's primitives, counted as in its source
+    count: int  # how many vertices they have
+    rows: np.ndarray  # those that move, ascending, shape (R,)
+    shapes: np.ndarray  # their displacement by each shape, in the mesh's own frame, shape (T, R, 3)
 
 
 def shapes_of_meshes(character: Character, moving: np.ndarray, shapes: np.ndarray) -> list[list[GroupShapes]]:

@@ -97,19 +97,12 @@ _KEPT = ("asset", "nodes", "scene", "scenes", "cameras", "extensions", "extras",
 
 @dataclass(frozen=True, eq=False)
 class RigDocument:
-    """A document with the bones of a character, to which clips are added.
+    """A document with the bones of a character, to which clips are added."""
 
-    Args:
-        builder: The document.
-        nodes: Node of each bone, length J.
-        source: The character's document where its own nodes are kept.
-        above: From the space of that document's scene to ours, shape (4, 4).
-    """
-
-    builder: GltfBuilder
-    nodes: list[int]
-    source: Source | None
-    above: np.ndarray
+    builder: GltfBuilder  # the document
+    nodes: list[int]  # node of each bone, length J
+    source: Source | None  # the character's document where its own nodes are kept
+    above: np.ndarray  # from the space of that document's scene to ours, shape (4, 4)
 
     @classmethod
     def of(cls, character: Character) -> RigDocument:
@@ -156,11 +149,8 @@ def save_rig_animation(
 
 def save_rig_clips(clips: Mapping[str, RigAnimation], path: Path, *, fps: float | None = None) -> Path:
     """Write several animations of one character as GLB, each as a clip of its name, and the file's own clips after
-    them; channels have `fps` [1/s] or each motion's rate.
-
-    Raises:
-        FormatError: The file cannot be written.
-        OptionError: `fps` is not a number from 1 to 1000.
+    them; channels have `fps` [1/s] or each motion's rate. FormatError if the file cannot be written; OptionError if
+    `fps` is not a number from 1 to 1000.
     """
     animation = next(iter(clips.values()))
     rates = {name: checked_fps(fps, clip.fps) for name, clip in clips.items()}
@@ -179,11 +169,8 @@ def write_character(
     character: Character, handles: Handles | None, path: Path, *, rig: bool = False, avatar: VrmModel | None = None
 ) -> Path:
     """Write a character as GLB, with its handles or its own rig as a skin where there are some; with a rig also springs
-    of its bones, in the document's extras.
-
-    Raises:
-        FormatError: The file cannot be written.
-        CharacterError: The handles weigh another number of vertices, or there is no rig to write.
+    of its bones, in the document's extras. FormatError if the file cannot be written; CharacterError if the handles
+    weigh another number of vertices, or there is no rig to write.
     """
     if rig:
         if character.rig is None:

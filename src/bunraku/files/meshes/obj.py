@@ -190,10 +190,8 @@ BROKEN = "the file is truncated or broken, export it again"
 
 def read_obj(path: Path, data: bytes) -> Character:
     """Read an OBJ file; polygons become fans of triangles. Materials and textures are looked for in its folder only.
-
-    Raises:
-        FormatError: A line cannot be understood, or a face uses a vertex that does not exist.
-        CharacterError: What it holds is no character.
+    FormatError if a line cannot be understood, or a face uses a vertex that does not exist; CharacterError if what it
+    holds is no character.
     """
     check_text(path, data)
     lines = _Lines(path, data)
@@ -316,10 +314,8 @@ class _Lines:
 
 
 def parse_numbers(words: list[bytes]) -> np.ndarray:
-    """Numbers of words, float64. A very long word is refused, since it would blow up the array of all.
-
-    Raises:
-        ValueError: A word is not a number.
+    """Numbers of words, float64. A very long word is refused, since it would blow up the array of all. ValueError if a
+    word is not a number.
     """
     if max(map(len, words), default=0) > 64:
         raise ValueError("a word is too long for a number")
@@ -375,11 +371,8 @@ def write_obj_sequence(
     animation: Animation | PointAnimation, path: Path, *, fps: float | None = None, up: str = "+y", unit: str = "m"
 ) -> Path:
     """Write `walk.obj` as a folder `walk` with `walk_0000.obj`, `walk_0001.obj` and so on, positions and triangles, and
-    return the folder. Options are those of `save`.
-
-    Raises:
-        FormatError: The folder cannot be written, or holds other files.
-        OptionError: `fps` is not a number from 1 to 1000, or there is no such axis or unit.
+    return the folder. Options are those of `save`. FormatError if the folder cannot be written, or holds other files;
+    OptionError if `fps` is not a number from 1 to 1000, or there is no such axis or unit.
     """
     return _write(animation, path, fps, FileFrame.of(up, unit), obj_frame(animation.character))
 
@@ -449,10 +442,8 @@ def _write(animation: Animation | PointAnimation, path: Path, fps: float | None,
 
 
 def check_sequence(path: Path) -> Path:
-    """The folder that a sequence of this name goes to.
-
-    Raises:
-        FormatError: It holds anything but an earlier sequence of this name, which is all that is replaced.
+    """The folder that a sequence of this name goes to. FormatError if it holds anything but an earlier sequence of this
+    name, which is all that is replaced.
     """
     folder = path.with_suffix("")
     if not folder.exists():

@@ -34,10 +34,7 @@ class _Element:
 
 def read_ply(path: Path, data: bytes) -> Character:
     """Read a PLY file; polygons become fans of triangles. A texture that it names is looked for in its folder only.
-
-    Raises:
-        FormatError: The file is truncated or broken.
-        CharacterError: What it holds is no character.
+    FormatError if the file is truncated or broken; CharacterError if what it holds is no character.
     """
     kind, elements, texture, body = _header(path, data)
     vertices: dict[str, np.ndarray] = {}
@@ -281,11 +278,8 @@ _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribut
 
 def read_stl(path: Path, data: bytes) -> Character:
     """Read an STL file: vertices in the order of their first use, triangles in that of the file. Triangles with two
-    corners at one position are dropped.
-
-    Raises:
-        FormatError: The file is truncated or broken.
-        CharacterError: What it holds is no character.
+    corners at one position are dropped. FormatError if the file is truncated or broken; CharacterError if what it holds
+    is no character.
     """
     count = struct.unpack_from("<I", data, 80)[0] if len(data) >= 84 else 0
     text = (

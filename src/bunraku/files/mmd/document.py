@@ -22,23 +22,14 @@ LIGHT = 154 / 255
 
 @dataclass(frozen=True)
 class MmdMaterial:
-    """A material.
-
-    Args:
-        name: Its name.
-        diffuse: sRGB and opacity, from 0 to 1, shape (4,).
-        ambient: sRGB, shape (3,).
-        double_sided: Whether triangles are seen from behind.
-        texture: Path of its texture as in the file, "" for none.
-        corners: Three times the number of its triangles.
-    """
+    """A material."""
 
     name: str
-    diffuse: np.ndarray
-    ambient: np.ndarray
-    double_sided: bool
-    texture: str
-    corners: int
+    diffuse: np.ndarray  # sRGB and opacity, from 0 to 1, shape (4,)
+    ambient: np.ndarray  # sRGB, shape (3,)
+    double_sided: bool  # whether triangles are seen from behind
+    texture: str  # path of its texture as in the file, "" for none
+    corners: int  # three times the number of its triangles
 
 
 def model_document(

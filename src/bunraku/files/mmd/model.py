@@ -203,40 +203,32 @@ _log = logging.getLogger(__name__)
 class MmdFile:
     """What a file says: the mesh in MMD's frame and unit, bones, bodies and joints in ours. Its indices are not
     checked.
-
-    Args:
-        version: "PMX 2.0", "PMX 2.1" or "PMD".
-        name, english: Names of the model.
-        positions, normals: Of the vertices, shape (V, 3).
-        uvs: With v downwards, shape (V, 2).
-        deforms: 0 BDEF1, 1 BDEF2, 2 BDEF4, 3 SDEF, 4 QDEF, shape (V,).
-        indices, weights: Bones of each vertex, -1 for none, and their shares, shape (V, 4).
-        sdef: C, R0 and R1 of those that are SDEF, shape (V, 3, 3).
-        triangles: Shape (F, 3).
-        materials: In the order of the triangles.
-        bones: Those whose tail is a bone have it in `tails`, by their index.
-        morphs, bodies, joints: As in the file.
-        warnings: Problems, each with the names of its subjects.
     """
 
-    version: str
+    version: str  # "PMX 2.0", "PMX 2.1" or "PMD"
+    # name, english: names of the model
     name: str
     english: str = ""
+    # positions, normals: of the vertices, shape (V, 3)
     positions: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     normals: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
-    uvs: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    uvs: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))  # with v downwards, shape (V, 2)
+    # 0 BDEF1, 1 BDEF2, 2 BDEF4, 3 SDEF, 4 QDEF, shape (V,)
     deforms: np.ndarray = field(default_factory=lambda: np.zeros(0, np.uint8))
+    # indices, weights: bones of each vertex, -1 for none, and their shares, shape (V, 4)
     indices: np.ndarray = field(default_factory=lambda: np.zeros((0, 4), np.int64))
     weights: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
+    # C, R0 and R1 of those that are SDEF, shape (V, 3, 3)
     sdef: np.ndarray = field(default_factory=lambda: np.zeros((0, 3, 3)))
-    triangles: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int64))
-    materials: list[MmdMaterial] = field(default_factory=list)
-    bones: list[MmdBone] = field(default_factory=list)
+    triangles: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.int64))  # shape (F, 3)
+    materials: list[MmdMaterial] = field(default_factory=list)  # in the order of the triangles
+    bones: list[MmdBone] = field(default_factory=list)  # those whose tail is a bone have it in `tails`, by their index
     tails: dict[int, int] = field(default_factory=dict)
+    # morphs, bodies, joints: as in the file
     morphs: list[MmdMorph] = field(default_factory=list)
     bodies: list[MmdBody] = field(default_factory=list)
     joints: list[MmdJoint] = field(default_factory=list)
-    warnings: dict[str, list[str]] = field(default_factory=dict)
+    warnings: dict[str, list[str]] = field(default_factory=dict)  # problems, each with the names of its subjects
 
     def note(self, problem: str, name: str = "") -> None:
         """Remember a problem: a whole sentence, or one about the subject of this name."""
@@ -244,15 +236,12 @@ class MmdFile:
 
 
 def mmd_character(path: Path, file: MmdFile) -> Character:
-    """The character that a file holds, its model as its `avatar`.
+    """The character that a file holds, its model as its `avatar`. FormatError if a vertex or bone does not exist, or a
+    bone has no position; CharacterError if what it holds is no character.
 
     Args:
         path: The file; textures are looked for in its folder and below, nowhere else.
         file: What it says.
-
-    Raises:
-        FormatError: A vertex or bone does not exist, or a bone has no position.
-        CharacterError: What it holds is no character.
     """
     _check_mesh(path, file)
     bones = _check_bones(path, file)

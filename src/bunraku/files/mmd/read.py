@@ -52,20 +52,15 @@ class _Read:
 
 def read_model(path: Path, data: bytes) -> Character:
     """Read a PMX or PMD file, by its first bytes; textures are looked for in its folder and below, nowhere else.
-
-    Raises:
-        FormatError: It is no such file, is cut off, announces more than it has room for, or has indices that point
-            outside.
-        CharacterError: What it holds is no character.
+    FormatError if it is no such file, is cut off, announces more than it has room for, or has indices that point
+    outside; CharacterError if what it holds is no character.
     """
     return mmd_character(path, (read_pmd_file if data.startswith(b"Pmd") else read_pmx_file)(path, data))
 
 
 def read_pmx_file(path: Path, data: bytes) -> MmdFile:
-    """What a PMX file says, its indices not checked.
-
-    Raises:
-        FormatError: It is no PMX file, is cut off, or announces more than it has room for.
+    """What a PMX file says, its indices not checked. FormatError if it is no PMX file, is cut off, or announces more
+    than it has room for.
     """
     reader = MmdReader(path, data)
     if reader.take(4) != b"PMX ":
@@ -282,10 +277,8 @@ _KNEE = np.radians([[-180.0, 0, 0], [-0.5, 0, 0]])
 
 
 def read_pmd_file(path: Path, data: bytes) -> MmdFile:
-    """What a PMD file says, its indices not checked.
-
-    Raises:
-        FormatError: It is no PMD file, is cut off, or announces more than it has room for.
+    """What a PMD file says, its indices not checked. FormatError if it is no PMD file, is cut off, or announces more
+    than it has room for.
     """
     reader = MmdReader(path, data)
     if reader.take(3) != b"Pmd":

@@ -29,19 +29,13 @@ _HALVINGS = 24  # of the search on a curve: exact to 1e-7
 
 @dataclass(frozen=True)
 class VmdTrack:
-    """Keys of one bone.
+    """Keys of one bone."""
 
-    Args:
-        frames: Frame of each key at 30 frames a second, rising, shape (K,).
-        positions: Displacement of the bone from its rest position, in its parent's axes [m], shape (K, 3).
-        rotations: Its rotation from the rest pose, xyzw, shape (K, 4).
-        curves: Control points x1, y1, x2, y2, from 0 to 1 between the key before and this one, for x, y, z and the
-            rotation, shape (K, 4, 4).
-    """
-
-    frames: np.ndarray
-    positions: np.ndarray
-    rotations: np.ndarray
+    frames: np.ndarray  # frame of each key at 30 frames a second, rising, shape (K,)
+    positions: np.ndarray  # displacement of the bone from its rest position, in its parent's axes [m], shape (K, 3)
+    rotations: np.ndarray  # its rotation from the rest pose, xyzw, shape (K, 4)
+    # control points x1, y1, x2, y2, from 0 to 1 between the key before and this one, for x, y, z and the rotation,
+    # shape (K, 4, 4)
     curves: np.ndarray
 
     def sample(self, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -59,18 +53,12 @@ class VmdTrack:
 
 @dataclass(frozen=True)
 class VmdMotion:
-    """What a VMD file holds of a model's motion.
+    """What a VMD file holds of a model's motion."""
 
-    Args:
-        model: Name of the model that it was made with.
-        bones: Track of each bone by its name.
-        morphs: Number of keys of each morph by its name.
-        switches: Inverse kinematics on or off by the name of its bone, from a frame on, by rising frames.
-    """
-
-    model: str
-    bones: dict[str, VmdTrack]
-    morphs: dict[str, int]
+    model: str  # name of the model that it was made with
+    bones: dict[str, VmdTrack]  # track of each bone by its name
+    morphs: dict[str, int]  # number of keys of each morph by its name
+    # inverse kinematics on or off by the name of its bone, from a frame on, by rising frames
     switches: tuple[tuple[int, dict[str, bool]], ...]
 
     @property
@@ -97,11 +85,8 @@ def load_vmd(path: str | Path) -> VmdMotion:
 
 
 def read_vmd(path: Path, data: bytes) -> VmdMotion:
-    """Read a VMD file from its bytes.
-
-    Raises:
-        FormatError: It is no VMD file, is cut off, announces more keys than it has room for, or holds something that is
-            not a number.
+    """Read a VMD file from its bytes. FormatError if it is no VMD file, is cut off, announces more keys than it has
+    room for, or holds something that is not a number.
     """
     name_size = next((size for magic, size in _HEADERS if data.startswith(magic)), 0)
     if not name_size:
@@ -231,28 +216,21 @@ _STILL_DEGREES, _STILL_METRES = 1e-4, 1e-7
 
 @dataclass(frozen=True)
 class MmdClip:
-    """Motion of the bones of a model at 30 frames a second.
+    """Motion of the bones of a model at 30 frames a second."""
 
-    Args:
-        bones: By their names: displacement from the rest position, in the parent's axes [m], shape (N, 3), and rotation
-            from the rest pose, shape (N, 3, 3).
-        model: Name of the model.
-        ik_off: Bones whose inverse kinematics are off.
-    """
-
+    # by their names: displacement from the rest position, in the parent's axes [m], shape (N, 3), and rotation from the
+    # rest pose, shape (N, 3, 3)
     bones: Mapping[str, tuple[np.ndarray, np.ndarray]]
-    model: str = ""
-    ik_off: tuple[str, ...] = field(default=())
+    model: str = ""  # name of the model
+    ik_off: tuple[str, ...] = field(default=())  # bones whose inverse kinematics are off
 
     def __len__(self) -> int:
         return max((len(positions) for positions, _ in self.bones.values()), default=0)
 
 
 def write_vmd(clip: MmdClip, path: str | Path) -> Path:
-    """Write a clip as VMD and return the path.
-
-    Raises:
-        FormatError: A bone's name cannot be written in Shift JIS, or the file cannot be written.
+    """Write a clip as VMD and return the path. FormatError if a bone's name cannot be written in Shift JIS, or the file
+    cannot be written.
     """
     path = Path(path)
     packed = pack_vmd(clip, path)
@@ -262,10 +240,8 @@ def write_vmd(clip: MmdClip, path: str | Path) -> Path:
 
 
 def pack_vmd(clip: MmdClip, path: Path = Path("motion.vmd")) -> bytes:
-    """The bytes of a clip as VMD; a bone that stands still has one key. The path is for messages.
-
-    Raises:
-        FormatError: A bone's name cannot be written in Shift JIS.
+    """The bytes of a clip as VMD; a bone that stands still has one key. The path is for messages. FormatError if a
+    bone's name cannot be written in Shift JIS.
     """
     parts = [_keys(path, name, *track) for name, track in clip.bones.items()]
     keys = np.concatenate(parts) if parts else np.zeros(0, _KEY)

@@ -55,9 +55,7 @@ def _signed(count: int) -> int:
 
 def pmx_bytes(file: MmdFile) -> bytes:
     """The bytes of a PMX file, which `read_pmx_file` reads back; the pictures of its textures are files of their own.
-
-    Raises:
-        FormatError: It has more bones, rigid bodies or joints than are read.
+    FormatError if it has more bones, rigid bodies or joints than are read.
     """
     for kind, count, most in (
         ("bones", len(file.bones), MAX_BONES),
@@ -219,11 +217,8 @@ def _joint(out: _Writer, joint: MmdJoint) -> None:
 
 def save_pmx(character: Character, path: str | Path, avatar: MmdModel | None = None) -> Path:
     """Write a character with a rig as PMX, and its pictures into a folder beside it, with the rigid bodies and joints
-    of an avatar, by default those of its own model.
-
-    Raises:
-        CharacterError: It has no rig.
-        FormatError: It has more bones than are read, or the file cannot be written.
+    of an avatar, by default those of its own model. CharacterError if it has no rig; FormatError if it has more bones
+    than are read, or the file cannot be written.
     """
     target = Path(path)
     file = pmx_file(character)
@@ -251,11 +246,8 @@ def save_pmx(character: Character, path: str | Path, avatar: MmdModel | None = N
 def write_character(
     character: Character, handles: Handles | None, path: Path, *, rig: bool = False, avatar: MmdModel | None = None
 ) -> Path:
-    """`save_pmx` in the form that the registry calls.
-
-    Raises:
-        CharacterError: There is no rig to write.
-        FormatError: The file cannot be written.
+    """`save_pmx` in the form that the registry calls. CharacterError if there is no rig to write; FormatError if the
+    file cannot be written.
     """
     if not rig and handles is not None:
         raise CharacterError(
@@ -266,11 +258,8 @@ def write_character(
 
 def pmx_file(character: Character) -> MmdFile:
     """The PMX of a character, in MMD's frame and unit where `MmdFile` wants it. The texture of a material is the number
-    of its image, as text.
-
-    Raises:
-        CharacterError: It has no rig.
-        FormatError: Its mesh is not the one that its model was read with.
+    of its image, as text. CharacterError if it has no rig; FormatError if its mesh is not the one that its model was
+    read with.
     """
     rig, model = character.rig, mmd_model(character)
     if rig is None:

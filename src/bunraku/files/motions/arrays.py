@@ -34,11 +34,8 @@ def read_amass(path: Path, data: bytes) -> SkeletalMotion:
 
     Rotations are converted from SMPL's T-pose to the reference body's, so limbs point where they did. The pelvis is at
     the file's `trans`, which differs from it by a constant of the body's shape; the skeleton is the reference body's,
-    scaled so that the feet reach the ground at height 0 where the person stands.
-
-    Raises:
-        FormatError: The file is broken, holds pickled objects, or lacks what a motion needs.
-        MotionError: A value is not a number.
+    scaled so that the feet reach the ground at height 0 where the person stands. FormatError if the file is broken,
+    holds pickled objects, or lacks what a motion needs; MotionError if a value is not a number.
     """
     with open_npz(path, data) as archive:
         refuse_objects(path, archive)
@@ -115,11 +112,8 @@ VECTOR_SIZE = 12 * JOINT_COUNT - 1
 
 
 def read_humanml3d(path: Path, data: bytes) -> SkeletalMotion:
-    """Read a file of `new_joint_vecs` or `new_joints`: SMPL's 22 joints at 20 frames a second.
-
-    Raises:
-        FormatError: The file is broken, holds objects, or has another shape.
-        MotionError: A value is not a number.
+    """Read a file of `new_joint_vecs` or `new_joints`: SMPL's 22 joints at 20 frames a second. FormatError if the file
+    is broken, holds objects, or has another shape; MotionError if a value is not a number.
     """
     array = read_npy(path, data)
     if len(array.shape) and len(array) > MAX_FRAMES:
@@ -198,11 +192,8 @@ def motion_arrays(motion: HandleMotion, prefix: str = "") -> dict[str, np.ndarra
 
 
 def read_any_motion(path: Path, data: bytes) -> HandleMotion | SkeletalMotion:
-    """Read an NPZ: a motion of AMASS if it has that set's arrays, a handle motion otherwise.
-
-    Raises:
-        FormatError: The file is broken, or is neither.
-        MotionError: What it holds breaks the rules of a motion.
+    """Read an NPZ: a motion of AMASS if it has that set's arrays, a handle motion otherwise. FormatError if the file is
+    broken, or is neither; MotionError if what it holds breaks the rules of a motion.
     """
 
     with open_npz(path, data) as archive:
@@ -212,11 +203,8 @@ def read_any_motion(path: Path, data: bytes) -> HandleMotion | SkeletalMotion:
 
 def read_npz_motion(path: Path, data: bytes, *, prefix: str = "") -> HandleMotion:
     """Read a handle motion, with rotations in 6D or as matrices; with the prefix `REFERENCE` the reference body's
-    motion.
-
-    Raises:
-        FormatError: The file is broken, or is not a handle motion.
-        MotionError: What it holds breaks the rules of a motion.
+    motion. FormatError if the file is broken, or is not a handle motion; MotionError if what it holds breaks the rules
+    of a motion.
     """
     with open_npz(path, data) as archive:
         missing = [name for name in _NEEDED if prefix + name not in npz_names(archive)]
@@ -257,10 +245,7 @@ def read_reference(path: Path, data: bytes) -> HandleMotion | None:
 
 def read_positions(path: Path, data: bytes) -> np.ndarray | None:
     """Rest positions of the handles that a motion was made for [m], shape (K, 3), or None where the file does not hold
-    them.
-
-    Raises:
-        FormatError: The file is broken.
+    them. FormatError if the file is broken.
     """
     with open_npz(path, data) as archive:
         if "handle_positions" not in npz_names(archive):

@@ -26,26 +26,18 @@ _WORDS = re.compile(
 
 @dataclass
 class BvhJoint:
-    """A joint or the end of one.
+    """A joint or the end of one."""
 
-    Args:
-        name: Its name; empty for an end site.
-        parent: Index of its parent, -1 for a root.
-        offset: From the parent's, in the file's unit.
-        channels: (axis, "position" or "rotation" or "scale", column) in the order of the file.
-    """
-
-    name: str
-    parent: int
-    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    name: str  # its name; empty for an end site
+    parent: int  # index of its parent, -1 for a root
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)  # from the parent's, in the file's unit
+    # (axis, "position" or "rotation" or "scale", column) in the order of the file
     channels: list[tuple[int, str, int]] = field(default_factory=list)
 
 
 def parse_hierarchy(path: Path, text: str) -> tuple[list[BvhJoint], int]:
     """Joints and end sites in the order of the file, parents first, and the number of columns of the motion.
-
-    Raises:
-        FormatError: The text breaks the grammar, holds a joint inside itself, or has too many joints.
+    FormatError if the text breaks the grammar, holds a joint inside itself, or has too many joints.
     """
     text = text.removeprefix("\ufeff").strip()
     if not re.match(r"HIERARCHY\b", text, re.IGNORECASE):
@@ -152,7 +144,8 @@ def read_bvh(path: Path, data: bytes, *, unit: str | None = None, up: str | None
 
     Of joints whose position moves, the root gives the motion's path, a joint with most of the skeleton below it (the
     hips below a still `Root`) replaces the root, and others keep their mean offset. Of several roots the one with most
-    joints is read.
+    joints is read. FormatError if the file is broken, cut off, too large, without frames, or holds something that is
+    not a number; OptionError if there is no such unit or axis.
 
     Args:
         path: The file.
@@ -162,10 +155,6 @@ def read_bvh(path: Path, data: bytes, *, unit: str | None = None, up: str | None
 
     Returns:
         The motion at the file's rate, +Y up, in metres.
-
-    Raises:
-        FormatError: The file is broken, cut off, too large, without frames, or holds something that is not a number.
-        OptionError: There is no such unit or axis.
     """
     if unit is not None and unit not in BVH_UNITS:
         raise OptionError(f"'{unit}' is not a unit; there are {', '.join(BVH_UNITS)}")
@@ -401,7 +390,8 @@ def write_bvh(
     up: str = "+y",
     order: str = "zxy",
 ) -> Path:
-    """Write a skeletal motion as BVH.
+    """Write a skeletal motion as BVH. FormatError if the file cannot be written; OptionError if an option makes no
+    sense, or the motion has no frame.
 
     Args:
         motion: At least one frame.
@@ -410,10 +400,6 @@ def write_bvh(
         unit: Unit of lengths, one of `BVH_UNITS`; most programs take "cm".
         up: "+y", or "+z" for programs that use the file's axes as they are.
         order: Order of the rotation channels, "zxy" as in most files.
-
-    Raises:
-        FormatError: The file cannot be written.
-        OptionError: An option makes no sense, or the motion has no frame.
     """
     path = Path(path)
     if unit not in BVH_UNITS:

@@ -31,11 +31,7 @@ def sample_names() -> tuple[str, ...]:
 
 
 def sample_file(name: str) -> Path:
-    """The GLB file of a sample character.
-
-    Raises:
-        OptionError: The name is unknown.
-    """
+    """The GLB file of a sample character. OptionError if the name is unknown."""
     if name not in _NAMES:
         raise OptionError(f"there is no sample character named {name[:40]!r}; choose one of {', '.join(_NAMES)}")
     return Path(__file__).with_name(f"{name}.glb")
