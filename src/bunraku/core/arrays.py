@@ -73,13 +73,8 @@ def refuse_objects(path: Path, archive: zipfile.ZipFile) -> None:
 
 
 def read_member(path: Path, archive: zipfile.ZipFile, name: str, data_size: int) -> np.ndarray:
-    """One array of an .npz file as float32. FormatError if the array is too large, or does not hold plain numbers.
-
-    Args:
-        path: The file.
-        archive: Its archive.
-        name: The array's name.
-        data_size: Size of the whole file [bytes], which bounds that of the array.
+    """One array of an .npz file of a size [bytes], which bounds that of the array, as float32. FormatError if the array
+    is too large, or does not hold plain numbers.
     """
     entry = archive.getinfo(f"{name}.npy")
     if entry.file_size > MAX_ARRAY_BYTES:
@@ -129,12 +124,8 @@ def lzma_filters(preset: int, window: int) -> list[dict[str, Any]]:
 
 
 def pack_steps(values: np.ndarray, order: int, filters: Sequence[dict[str, object]]) -> bytes:
-    """Pack columns of integers: differences of some order, small numbers of either sign, high bytes together, LZMA.
-
-    Args:
-        values: Integers, or numbers to be rounded, shape (N, C).
-        order: How often differences are taken.
-        filters: From `lzma_filters`.
+    """Pack columns of integers, or of numbers to be rounded, shape (N, C): differences of some order, small numbers of
+    either sign, high bytes together, LZMA with `lzma_filters`.
     """
     steps = np.rint(values).astype(np.int64)
     for _ in range(order):

@@ -154,12 +154,7 @@ def check_output_folder(path: Path) -> None:
 
 @contextmanager
 def writing(path: Path, what: str = "file") -> Iterator[None]:
-    """Turn the system's refusal of what a block writes into one sentence. FormatError if the system refused.
-
-    Args:
-        path: The target, which the sentence names.
-        what: What cannot be written.
-    """
+    """Turn the system's refusal of what a block writes to a path into one sentence, a FormatError."""
     try:
         yield
     except OSError as error:

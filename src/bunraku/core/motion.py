@@ -232,10 +232,7 @@ class HandleMotion(Saved):
         return replace(parts[0], **arrays)
 
     def transforms(self, positions: np.ndarray) -> np.ndarray:
-        """World transform of each handle as Eq. 3 applies it to rest positions.
-
-        Args:
-            positions: Handle positions h [m], shape (K, 3).
+        """World transform of each handle as Eq. 3 applies it to rest positions, for handles at h [m], shape (K, 3).
 
         Returns:
             Affine transforms [A | b], shape (N, K, 3, 4), float32: a vertex wholly of handle k goes to A v + b.
@@ -250,11 +247,8 @@ class HandleMotion(Saved):
         return out
 
     def with_transforms(self, transforms: np.ndarray, positions: np.ndarray) -> HandleMotion:
-        """The motion with the same root and other world transforms of its handles.
-
-        Args:
-            transforms: As `transforms` gives them, shape (N, K, 3, 4), float64.
-            positions: Handle positions h [m], shape (K, 3).
+        """The motion with the same root and other world transforms of its handles at h [m] (K, 3): as `transforms`
+        gives them, shape (N, K, 3, 4), float64.
         """
         h = positions.astype(np.float64)
         root = self.root_rotation.astype(np.float64)

@@ -98,13 +98,8 @@ _COUNTS = {2: "two", 3: "three", 4: "four"}
 
 
 def read_json(data: bytes, name: str, most: int = MOST_BYTES) -> Any:
-    """The value of an untrusted JSON text. Its size in memory is bounded before it is parsed. OptionError if it is not
-    JSON, too large, or nested too deeply.
-
-    Args:
-        data: The text in UTF-8.
-        name: Its name in messages.
-        most: Largest number of bytes.
+    """The value of an untrusted JSON text in UTF-8 of a name for messages. Its size in memory is bounded before it is
+    parsed. OptionError if it is not JSON, too large, or nested too deeply.
     """
     if len(data) > most:
         raise OptionError(f"{name} has more than {most >> 20} MiB of JSON; leave out what is not needed")
@@ -162,14 +157,9 @@ def to_json(thing: object) -> Any:
 
 
 def from_json(kind: type[Kind], data: object, name: str = "") -> Kind:
-    """The dataclass of a JSON object. OptionError if a key is unknown or missing; a value is of another type, not
-    finite, or too large; or the class refuses the values.
-
-    Args:
-        kind: The dataclass. Its fields are numbers, `Annotated` with a `Limit` perhaps, texts, arrays, tuples of these,
-            other dataclasses, or unions.
-        data: What `json.loads` gave.
-        name: Its name in messages.
+    """The dataclass of what `json.loads` gave, under a name for messages. Its fields are numbers, `Annotated` with a
+    `Limit` perhaps, texts, arrays, tuples of these, other dataclasses, or unions. OptionError if a key is unknown or
+    missing; a value is of another type, not finite, or too large; or the class refuses the values.
     """
     name = name or kind.__name__.lower()
     if not isinstance(data, dict):

@@ -19,12 +19,7 @@ def _product(matrices: Array, points: Array) -> Array:
 
 def handle_offsets(positions: Array, translations: Array, rotations: Array) -> Array:
     """What a handle's local transform adds to a rotated vertex, `R (v - h) + h + t = R v + (h + t - R h)`, shape (...,
-    K, 3); numpy arrays or tensors.
-
-    Args:
-        positions: Rest positions h of the handles [m], shape (..., K, 3).
-        translations: Local translations t [m], shape (..., K, 3).
-        rotations: Local rotations R, shape (..., K, 3, 3).
+    K, 3), by rest positions h [m], local translations t [m] and rotations R (..., K, 3, 3); numpy arrays or tensors.
     """
     return positions + translations - _product(rotations, positions)
 
@@ -37,12 +32,8 @@ def posed_points(transforms: Array, points: Array) -> Array:
 
 
 def skin(vertices: np.ndarray, weights: np.ndarray, transforms: np.ndarray) -> np.ndarray:
-    """Blend-skin every vertex in every frame [TapMo 3] as one GEMM, (3N, 4K) @ (4K, V).
-
-    Args:
-        vertices: Rest positions [m], shape (V, 3).
-        weights: Skinning weights, shape (V, K).
-        transforms: Affine transform of each handle, shape (N, K, 3, 4).
+    """Blend-skin vertices at rest [m] (V, 3) by weights (V, K) in every frame of affine transforms of handles (N, K, 3,
+    4) [TapMo 3] as one GEMM, (3N, 4K) @ (4K, V).
 
     Returns:
         Posed positions [m], shape (N, V, 3), float32: a view with coordinates apart; `result[n]` is cheap to make
@@ -81,12 +72,8 @@ def _shares(weights: np.ndarray) -> np.ndarray:
 
 
 def part_means(vertices: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Weighted means of the vertices [m], shape (K, 3), float64: the centres of the parts, which section 3.1 of TapMo
-    takes for handle positions. A part without weight has the mean of all vertices.
-
-    Args:
-        vertices: Rest positions [m], shape (V, 3).
-        weights: Skinning weights, shape (V, K).
+    """Means of the vertices at rest [m] (V, 3) by weights (V, K), shape (K, 3), float64: the centres of the parts,
+    which section 3.1 of TapMo takes for handle positions. A part without weight has the mean of all vertices.
     """
     return _shares(weights).T @ np.asarray(vertices, np.float64)
 
@@ -94,14 +81,9 @@ def part_means(vertices: np.ndarray, weights: np.ndarray) -> np.ndarray:
 def register(
     source: np.ndarray, targets: np.ndarray, weights: np.ndarray, handles: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The rigid motion of every part in every frame (Besl & McKay 1992).
-
-    Args:
-        source: Rest vertices x [m], shape (V, 3).
-        targets: Moved vertices of each frame [m], shape (N, V, 3).
-        weights: Skinning weights, not negative, shape (V, K).
-        handles: Positions h [m] about which the motions are expressed, shape (K, 3); `part_means` of the source by
-            default.
+    """The rigid motion of every part in every frame (Besl & McKay 1992), of vertices x at rest [m] (V, 3) to targets
+    [m] (N, V, 3) by weights that are not negative (V, K). Positions h [m] (K, 3) about which it is expressed are
+    `part_means` by default.
 
     Returns:
         Rotations R (N, K, 3, 3) and translations t (N, K, 3) [m], float64: a point x of part k goes to `R (x - h_k) +
@@ -155,12 +137,8 @@ class RigidBones:
 
 
 def decomposed(rest: np.ndarray, posed: np.ndarray, bones: int) -> RigidBones:
-    """The skin of a number of bones that comes closest to a movement (Le and Deng 2012).
-
-    Args:
-        rest: Points in the rest pose [m], shape (M, 3).
-        posed: Points in N frames [m], shape (N, M, 3).
-        bones: How many, at most as many as points.
+    """The skin of a number of bones, at most as many as points, that comes closest to a movement of points at rest [m]
+    (M, 3) to N frames (N, M, 3) (Le and Deng 2012).
     """
     rest, posed = np.asarray(rest, np.float64), np.asarray(posed, np.float64)
     frames = np.linspace(0, len(posed) - 1, min(FEW_FRAMES, len(posed))).astype(np.int64)

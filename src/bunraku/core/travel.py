@@ -112,13 +112,8 @@ class GroundPath(Constraint):
 def bent_to_path(
     motion: HandleMotion, path: GroundPath, start: Sequence[float] = (0.0, 0.0), size: float = 1.0
 ) -> HandleMotion:
-    """The motion of a character with its root on a path, but for its sway.
-
-    Args:
-        motion: N frames.
-        path: In the character's metres.
-        start: The path's point that the root of a character at the origin stands on [m].
-        size: Height of its root handle [m], which bounds the sway.
+    """The motion of a character with its root on a path in its metres, but for its sway, which the height of its root
+    handle [m] bounds. `start` is the path's point that the root of a character at the origin stands on [m].
     """
     want = path.positions(len(motion), motion.fps) + np.asarray(start, float)
     root = motion.root_translation.astype(float)
@@ -183,13 +178,9 @@ def repeated(motion: HandleMotion, before: int, after: int) -> HandleMotion:
 
 
 def closed_loop(motion: HandleMotion, like: HandleMotion, fade: int = 8) -> HandleMotion:
-    """A nearly closed loop of N + 1 frames, closed: its last pose becomes its first, moved as a round of another loop
-    moves.
-
-    Args:
-        motion: The loop.
-        like: The loop that it was made from; where its round neither turns nor travels, neither does the result's.
-        fade: Frames at the end over which the difference fades in.
+    """A nearly closed loop of N + 1 frames, closed: its last pose becomes its first, moved as a round of the loop moves
+    that it was made from; where that neither turns nor travels, neither does the result. The difference fades in over
+    the last frames.
     """
     turns = abs(_yaw(like.root_rotation[0], like.root_rotation[-1])) > 1e-4
     travels = bool(np.abs(like.root_translation[-1] - like.root_translation[0])[[0, 2]].max() > 1e-4)
@@ -260,17 +251,12 @@ def follow(motion: HandleMotion, before: HandleMotion) -> HandleMotion:
 def put_back(
     made: HandleMotion, original: HandleMotion, handles: np.ndarray, first: int, after: int, fade: int = FADE
 ) -> HandleMotion:
-    """The generated motion with what is kept of the original, bit for bit.
+    """The generated motion with what is kept of the original of as many frames, bit for bit: all frames before `first`
+    and from `after` on, and in all frames some handles, (K,), bool, of which handle 0 stands for the root's path.
 
-    Args:
-        made: N frames.
-        original: N frames.
-        handles: Handles that are kept in all frames, shape (K,), bool; handle 0 stands for the root's path.
-        first: First generated frame; all before it are kept.
-        after: The frame after the last generated one.
-        fade: Frames at the edges of the span over which a difference to the next kept frame fades out. A difference of
-            the root's position on the ground fades over the whole span, so that no foot slides for it. 0 leaves
-            differences as they are.
+    A difference to the next kept frame fades out over some frames at the edges of the span, and one of the root's
+    position on the ground over the whole span, so that no foot slides for it. A fade of 0 leaves differences as they
+    are.
     """
     count = len(original)
     arrays = {name: np.array(getattr(made, name)) for name in HandleMotion.arrays}

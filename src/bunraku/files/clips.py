@@ -90,17 +90,13 @@ MAX_TRANSFORMS = 4_000_000
 
 
 def load_animation(path: str | Path, clip: int | str = 0, fps: float = 30.0) -> Animation:
-    """Read a character and a clip of its file, as an animation whose handles are the file's joints.
+    """Read a character and a clip of its file, GLB, glTF, VRM or FBX, as an animation at a rate [1/s] whose handles are
+    the file's joints. The clip is a number or a name, with or without its armature's name before a bar.
 
     Handle 0 stands still and holds no vertex; then each joint holds the vertices of its skin, with scale and shear. A
     joint's transform is relative to the bind pose, so skinned meshes are exact; where the file has no bind pose that
     makes sense, it is relative to the default pose and the result is close. FormatError if the file cannot be read, or
     has no skin or no clip; OptionError if the file has no clip of this name or number, or `fps` is not from 1 to 240.
-
-    Args:
-        path: A GLB, glTF, VRM or FBX file with a skin and a clip.
-        clip: Number or name of the clip, with or without its armature's name before a bar.
-        fps: Frames a second of the result [1/s].
     """
     path = Path(path)
     if not 1 <= fps <= 240:

@@ -131,12 +131,9 @@ def check_unit(unit: str, option: str = "unit") -> None:
 
 
 def resolve_unit(height: float, suffix: str, unit: str = "auto") -> SettledUnit:
-    """The unit of a character's file, from what the user says, the rule of its format, and its height.
-
-    Args:
-        height: Its height as it was read, in metres where its format has a unit.
-        suffix: The format; "" for a character of no file, which is in metres.
-        unit: One of `UNIT_CHOICES`. All but "auto" is the unit of lengths as they were read.
+    """The unit of a character's file, from what the user says (one of `UNIT_CHOICES`: all but "auto" is the unit of
+    lengths as they were read), the rule of its format ("" for no file, in metres), and its height as it was read, in
+    metres where its format has a unit.
     """
     likely, bare = likely_unit(height), suffix in BARE
     if unit != "auto":
@@ -154,13 +151,9 @@ def resolve_unit(height: float, suffix: str, unit: str = "auto") -> SettledUnit:
 
 
 def in_metres(character: Character, unit: str = "auto", up: str | None = None) -> tuple[Character, str]:
-    """The character in metres, and a note about it. OptionError if there is no such unit, or that of the file cannot be
-    changed.
-
-    Args:
-        character: As its file has it, lying or standing.
-        unit: One of `UNIT_CHOICES`.
-        up: Its up axis where that is known. Otherwise it is guessed from the shape if the unit depends on it.
+    """The character, lying or standing as its file has it, in metres, and a note about it. Where its unit depends on
+    the up axis and that is not given, it is guessed from the shape. OptionError if there is no such unit, or that of
+    the file cannot be changed.
     """
     check_unit(unit)
     suffix = str(getattr(character.source, "suffix", ""))
@@ -189,13 +182,9 @@ _PLURALS = {
 
 
 def _suffix_of(path: Path, kind: str, start: bytes = b"") -> str:
-    """The suffix of a file's format, by its magic bytes first and its own suffix second. FormatError if no format of
-    this kind is recognised; the message lists those that are.
-
-    Args:
-        path: The file.
-        kind: A key of `READERS`, or of `WRITERS` for a file that is to be written.
-        start: The first bytes of a file that is to be read.
+    """The suffix of a file's format, by its first bytes if it is read, and by its own suffix otherwise; `kind` is a key
+    of `READERS`, or of `WRITERS` for a file that is written. FormatError if no format of this kind is recognised; the
+    message lists those that are.
     """
     functions = READERS[kind] if start else WRITERS[kind]
     suffix = path.suffix.lower()
@@ -412,13 +401,9 @@ def save(
 
 
 def check_writer(path: str | Path, *, points: bool = False, mmd: bool = True) -> None:
-    """Make sure, before anything is computed, that an animation can be written to a file. MissingExtraError if an
-    optional library is missing; FormatError if the suffix is unknown, or such files cannot hold the character.
-
-    Args:
-        path: The file.
-        points: Whether vertices also move on their own, as learned apparel does.
-        mmd: Whether it is of an MMD model, as a VMD must be.
+    """Make sure, before anything is computed, that an animation can be written to a file: one of `points` that also
+    move on their own, as learned apparel does, or of an MMD model, as a VMD must be. MissingExtraError if an optional
+    library is missing; FormatError if the suffix is unknown, or such files cannot hold the character.
     """
     suffix = _suffix_of(Path(path), "points" if points else "animation")
     if suffix in _USD:

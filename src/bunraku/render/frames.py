@@ -57,12 +57,8 @@ class SoftwareRenderer:
         self._floor = slice(0, 0)
 
     def draw(self, vertices: np.ndarray, camera: Camera, offset: np.ndarray) -> np.ndarray:
-        """One picture, shape (H, W, 3), uint8.
-
-        Args:
-            vertices: Posed positions [m], shape (V, 3), float32, contiguous.
-            camera: The camera.
-            offset: Displacement of the lit part of the floor [m], shape (3,).
+        """One picture, shape (H, W, 3), uint8, of posed vertices [m] (V, 3), float32, contiguous; `offset` [m], shape
+        (3,), is the displacement of the lit part of the floor.
         """
         from bunraku.render import kernels
         from bunraku.render.reference import Drawn, Lighting, ShadowMap, View
@@ -262,18 +258,13 @@ def render_animation(
     background: Background = "studio",
     color: Literal["texture", "handles"] = "texture",
 ) -> Iterator[np.ndarray]:
-    """Draw an animation one frame after the other. OptionError if an option is outside what can be drawn.
+    """Draw an animation one frame after the other: pictures (H, W, 3), uint8. OptionError if an option is outside what
+    can be drawn.
 
     Args:
-        animation: What to draw.
-        size: Width and height in pixels.
         fps: Pictures a second [1/s]; None is the motion's own. Between the motion's frames vertices are interpolated.
         times: Moments to draw [s], shape (M,), instead of `fps`.
-        background: As for `render_frames`.
         color: The character's own colours, or those of its handles.
-
-    Yields:
-        Pictures, shape (H, W, 3), uint8.
     """
     at = moments(animation, fps) if times is None else np.asarray(times, float)
     pace = (len(at) - 1) / max(float(at[-1] - at[0]), 1e-6) if len(at) > 1 else animation.motion.fps
@@ -289,14 +280,7 @@ def render_still(
     background: Background = "studio",
 ) -> np.ndarray:
     """A picture of a character in its rest pose, shape (H, W, 3), uint8, in its own colours or, when `handles` are
-    given, in theirs.
-
-    Args:
-        character: What to show.
-        handles: Handles whose weights colour the vertices.
-        size: Width and height in pixels.
-        yaw: Rotation of the viewer about +Y from the character's front (+Z) towards +X [rad].
-        background: As for `render_frames`.
+    given, in theirs. The viewer is rotated about +Y from the character's front (+Z) towards +X by `yaw` [rad].
     """
     colors = character.colors if handles is None else handle_colors(handles)
     vertices = np.ascontiguousarray(character.vertices, np.float32)

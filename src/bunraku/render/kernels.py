@@ -94,11 +94,8 @@ def compile_kernels(compiler: str, path: Path) -> None:
 
 
 def _call(name: str, *arguments: Any) -> bool:
-    """Call a compiled loop; False where there is none.
-
-    Args:
-        name: The function in `kernels.c`.
-        arguments: Arrays of the types that it reads, contiguous; numbers.
+    """Call a compiled loop by its name in `kernels.c` with numbers, and contiguous arrays of the types that it reads;
+    False where there is none.
     """
     library = native().library
     if library is None:

@@ -57,13 +57,9 @@ def _replacing(path: Path) -> Iterator[Path]:
 
 
 def write_moving(images: Iterable[np.ndarray], path: str | Path, fps: float) -> Path:
-    """Write pictures (H, W, 3), uint8, one at a time, as the video or animation that the suffix names. FormatError if
-    the suffix is another, or the file cannot be written; MissingExtraError if PyAV or Pillow is not installed.
-
-    Args:
-        images: The pictures, all of one size; an MP4 needs even sizes.
-        path: A name that ends with .mp4 (H.264 in yuv420p, which browsers play), .webp or .gif.
-        fps: Pictures a second [1/s].
+    """Write pictures (H, W, 3), uint8, all of one size, one at a time, as a video .mp4 (H.264 in yuv420p, which
+    browsers play; even sizes), or as a .webp or .gif. FormatError if the suffix is another, or the file cannot be
+    written; MissingExtraError if PyAV or Pillow is not installed.
     """
     target = check_target(path, MOVING)
     with _replacing(target) as temporary:
@@ -157,16 +153,9 @@ def assemble(
     gap: int = 4,
     paper: tuple[int, int, int] = PAPER,
 ) -> np.ndarray:
-    """Pictures of one size in a grid, row by row, each with its label below, uint8, three channels. OptionError if
-    there are none, of several sizes, or another number of labels; MissingExtraError if Pillow is not installed.
-
-    Args:
-        images: Pictures, each (H, W, 3), uint8.
-        labels: One short text a picture.
-        columns: Pictures in a row; None makes the sheet about 16:10.
-        title: A line above all.
-        gap: Pixels between the pictures.
-        paper: sRGB of the space between and below the pictures.
+    """Pictures of one size in a grid, (H, W, 3), uint8, row by row, each with its label below and a title above all, on
+    `paper` (sRGB). Without a number of columns the sheet is about 16:10. OptionError if there are none, of several
+    sizes, or another number of labels; MissingExtraError if Pillow is not installed.
     """
     try:
         from PIL import Image, ImageDraw, ImageFont

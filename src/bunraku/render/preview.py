@@ -98,18 +98,9 @@ def save_beside(
     fps: float,
     progress: Progress | None = None,
 ) -> Path:
-    """Write a video or a moving picture of animations side by side, in as many rows as columns or one less; those that
-    end first stay in their last pose.
-
-    Args:
-        animations: At least one.
-        path: The file: .mp4, .webp or .gif.
-        size: Width and height of the whole in pixels; what the rows and columns leave over is cut off.
-        fps: Pictures a second [1/s].
-        progress: As of `save_preview`.
-
-    Raises:
-        As `save_preview`.
+    """Write a video or a moving picture (.mp4, .webp or .gif) of at least one animation side by side, in as many rows
+    as columns or one less, within a width and height in pixels; those that end first stay in their last pose. Errors
+    are those of `save_preview`.
     """
     columns = math.ceil(math.sqrt(len(animations)))
     rows = math.ceil(len(animations) / columns)
@@ -173,15 +164,9 @@ def write_html(
     name: str | None = None,
     most: int = MOST_BYTES,
 ) -> Path:
-    """Write an animation as a page that shows it with three.js. FormatError if the file cannot be written, or the model
-    is larger.
-
-    Args:
-        animation: Of any kind that a GLB can hold.
-        path: The file.
-        fps: Frames a second of the clip [1/s]; those of the motion by default.
-        name: The title; the file's name by default.
-        most: Largest size of the model [bytes].
+    """Write an animation of any kind that a GLB can hold as a page that shows it with three.js, titled as the file or
+    otherwise, at the motion's or another rate [1/s]. FormatError if the file cannot be written, or the model has more
+    than `most` bytes.
     """
     title = str(name) if name else path.stem
     rate: dict[str, Any] = {} if fps is None else {"fps": fps}

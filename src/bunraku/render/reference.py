@@ -156,15 +156,9 @@ def rays(columns: np.ndarray, rows: np.ndarray, size: tuple[int, int], axes: np.
 def draw_grid(
     floor: np.ndarray, offset: np.ndarray, cell: float, color: np.ndarray, base: np.ndarray, plain: np.ndarray
 ) -> None:
-    """Draw the floor's lines over a `Backdrop` without any: into its sRGB 0..1 (H, W, 3), float32, and into the uint8
-    version of it.
-
-    Args:
-        floor: `Backdrop.floor`.
-        offset: Position of its origin along x and z [m], shape (2,).
-        cell: Spacing of the lines [m].
-        color: sRGB 0..1 of the lines, shape (3,).
-        base, plain: Drawn over.
+    """Draw the floor's lines, `cell` metres apart and of an sRGB colour 0..1 (3,), over a `Backdrop` without any: into
+    its sRGB 0..1 (H, W, 3), float32, and into the uint8 version of it. `offset` is the position of the origin of its
+    floor along x and z [m], shape (2,).
     """
     x, z, across, along, fade = np.moveaxis(floor.astype(np.float64), -1, 0)
     width = LINE_WIDTH * cell

@@ -18,11 +18,8 @@ FOLLOW = 0.8
 
 def view_axes(yaw: float = YAW, elevation: float = ELEVATION) -> np.ndarray:
     """Camera axes that look at the origin: rows right, up and back (towards the viewer) in the world, shape (3, 3),
-    float64.
-
-    Args:
-        yaw: Rotation of the viewer about +Y from +Z (the character's front) towards +X [rad].
-        elevation: Height of the viewer above the horizon [rad].
+    float64. The viewer is rotated about +Y from +Z (the character's front) towards +X, and above the horizon by
+    `elevation` [rad].
     """
     back = np.array([np.sin(yaw) * np.cos(elevation), np.sin(elevation), np.cos(yaw) * np.cos(elevation)])
     right = np.array([np.cos(yaw), 0.0, -np.sin(yaw)])
@@ -196,14 +193,10 @@ class Surface:
 
 
 def build_surface(vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray | None = None) -> Surface:
-    """Find the creases of a rest pose and split the vertices there. OptionError if the colours are of another number
-    than the vertices, or a face names a vertex that is not there.
-
-    Args:
-        vertices: Rest positions [m], shape (V, 3).
-        faces: Vertex indices, shape (F, 3).
-        colors: sRGB colours, uint8, of the vertices (V, 3) or one for all (3,). None, and white all over, which is what
-            files without materials come as, is drawn in the colour of clay.
+    """Find the creases of a rest pose of vertices [m] (V, 3) and faces (F, 3) and split the vertices there. Colours are
+    sRGB, uint8, of the vertices (V, 3) or one for all (3,); None, and white all over, which is what files without
+    materials come as, is drawn in the colour of clay. OptionError if the colours are of another number than the
+    vertices, or a face names a vertex that is not there.
     """
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components

@@ -100,8 +100,6 @@ def write_corrections(
     be written.
 
     Args:
-        path: The file.
-        said: What is said.
         axes: Up and front as they are taken.
         joints: Positions of all joints [m], by their names.
         pieces: Kind of each piece that is found, and a point on it [m].

@@ -48,15 +48,12 @@ def _moments() -> _Moments:
 
 
 def skeleton_from_handles(motion: HandleMotion, rounds: int = ROUNDS) -> SkeletalMotion:
-    """The motion of SMPL's 22 joints that moves the reference body as a handle motion does.
+    """The motion of SMPL's 22 joints that moves the reference body as a motion of its handles does: at least 22, those
+    of SMPL's joints first.
 
-    The skeleton is the reference body's. What handles do beyond rotating about joints (soft bending, tails, fingers) is
-    left out. MotionError if the motion has fewer handles.
-
-    Args:
-        motion: Of the reference body's handles: at least 22, those of SMPL's joints first.
-        rounds: How often the joints are rotated by what the handles lack; 0 takes the handles' rotations for the
-            joints'.
+    The skeleton is the reference body's. Joints are rotated by what the handles lack, `rounds` times; 0 takes the
+    handles' rotations for theirs. What handles do beyond rotating about joints (soft bending, tails, fingers) is left
+    out. MotionError if the motion has fewer handles.
     """
     if motion.rotations.shape[1] < JOINT_COUNT:
         raise MotionError(
@@ -118,14 +115,9 @@ _SMOOTH = 0.1  # deviation of the mean over time that rolls are taken from [s]
 
 
 def motion_from_positions(positions: np.ndarray, fps: float) -> SkeletalMotion:
-    """Skeletal motion through positions of SMPL's 22 joints.
-
-    Bones have their mean length in the positions, and the reference body's directions in the T-pose. MotionError if the
-    shape is another one, there is no frame, or a value is not finite.
-
-    Args:
-        positions: Positions, +Y up [m], shape (N, 22, 3).
-        fps: Frames a second [1/s].
+    """Skeletal motion through positions of SMPL's 22 joints, +Y up [m], shape (N, 22, 3), at a rate [1/s]. Bones have
+    their mean length in the positions, and the reference body's directions in the T-pose. MotionError if the shape is
+    another one, there is no frame, or a value is not finite.
     """
     joints = np.asarray(positions, float)
     if joints.ndim != 3 or joints.shape[1:] != (JOINT_COUNT, 3) or not len(joints):

@@ -90,12 +90,9 @@ PARTS: dict[str, tuple[int, ...]] = {
 
 
 def kept_handles(keep: str | Sequence[str]) -> np.ndarray:
-    """Which handles words name, shape (K,), bool. OptionError if a word names nothing, or all words together name
-    everything.
-
-    Args:
-        keep: Parts (`PARTS`) or single handles (`HANDLE_NAMES`), as a list or separated by commas; case, hyphens and
-            underscores do not matter.
+    """Which handles words name, shape (K,), bool: parts (`PARTS`) or single handles (`HANDLE_NAMES`), as a list or
+    separated by commas; case, hyphens and underscores do not matter. OptionError if a word names nothing, or all words
+    together name everything.
     """
     words = [word for entry in ([keep] if isinstance(keep, str) else keep) for word in entry.split(",")]
     out = np.zeros(HANDLE_COUNT, bool)

@@ -90,13 +90,8 @@ def leg_length(joints: np.ndarray) -> float:
 
 
 def handle_positions(vertices: np.ndarray, weights: np.ndarray, areas: np.ndarray) -> np.ndarray:
-    """Mean of the vertices of each handle [m], shape (K, 3) (Eq. 4), by surface area so that tessellation does not
-    matter. A handle without weight stands where its parent stands.
-
-    Args:
-        vertices: Positions [m], shape (V, 3).
-        weights: Handle weights, shape (V, K).
-        areas: Surface area that each vertex stands for, any unit, shape (V,).
+    """Mean of the vertices (V, 3) of each handle [m], shape (K, 3) (Eq. 4), by weights (V, K) and by the surface area
+    of each vertex (V,), so that tessellation does not matter. A handle without weight stands where its parent stands.
     """
     from bunraku.core.body.layout import HANDLE_PARENTS
 

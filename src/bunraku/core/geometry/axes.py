@@ -103,11 +103,8 @@ class FileFrame:
 
     @classmethod
     def of(cls, up: str, unit: str) -> FileFrame:
-        """The frame of a file. OptionError if there is no such axis or unit.
-
-        Args:
-            up: "+y", or "+z", where our +Z is the file's -Y, as in Blender.
-            unit: One of `UNITS`.
+        """The frame of a file with +Y up, or with +Z, where our +Z is the file's -Y, as in Blender, in one of `UNITS`.
+        OptionError if there is no such axis or unit.
         """
         if unit not in UNITS:
             raise OptionError(f"'{unit}' is not a unit; there are {', '.join(UNITS)}")

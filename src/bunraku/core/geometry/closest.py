@@ -40,12 +40,8 @@ class Stars:
 
 
 def stars_of(vertices: np.ndarray, faces: np.ndarray, edges: np.ndarray) -> Stars:
-    """Triangles at each vertex. Edges without faces and lone vertices count as triangles without width.
-
-    Args:
-        vertices: Of the mesh, shape (M, 3).
-        faces: Its triangles, shape (F, 3).
-        edges: Its edges, smaller vertex first, shape (E, 2).
+    """Triangles at each of the vertices (M, 3), from faces (F, 3) and edges (E, 2), smaller vertex first. Edges without
+    faces and lone vertices count as triangles without width.
     """
     count = len(vertices)
     a, b = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
@@ -130,16 +126,11 @@ def _walk(points: np.ndarray, home: np.ndarray, found: _Found, stars: Stars) -> 
 def surface_distances(
     points: np.ndarray, vertices: np.ndarray, faces: np.ndarray, length: float, most: float
 ) -> np.ndarray:
-    """Distances of points from a surface, shape (P,).
+    """Distances of points (P, 3) from a surface of vertices (V, 3) and faces (F, 3), shape (P,).
 
-    Looks at the triangles with the nearest centres, once all edges are short: where large and small triangles meet, the
-    result may be a few hundredths of such an edge too large.
-
-    Args:
-        points: Shape (P, 3).
-        vertices, faces: Of the surface, shapes (V, 3) and (F, 3).
-        length: Longest edge.
-        most: Where no triangle's centre is this close, the distance is infinite.
+    Looks at the triangles with the nearest centres, once all edges are split to a `length`: where large and small
+    triangles meet, the result may be a few hundredths of such an edge too large. Where no centre is closer than `most`,
+    it is infinite.
     """
     vertices, faces, _ = split_long_edges(np.asarray(vertices, np.float64), np.asarray(faces, np.int64), length)
     first, second, third = (vertices[faces[:, corner]] for corner in range(3))
@@ -163,18 +154,13 @@ def surface_distances(
 
 
 def blend_matrix(points: np.ndarray, home: np.ndarray, stars: Stars, width: float) -> csr_matrix:
-    """Weights of mesh vertices at points whose position on the mesh is roughly known.
+    """Weights of mesh vertices at points (P, 3) whose position on the mesh is roughly known: near the vertices `home`
+    (P,).
 
     Each point takes the nearest points of the triangles around its home vertex and their barycentric weights, blended
     by `exp(-(d^2 - d_min^2) / (2 width^2))`, so that weights change smoothly from triangle to triangle. Where the
     nearest point is on the rim of those triangles, the home first walks a few vertices towards it. Only neighbours on
     the mesh are looked at, so a finger takes nothing from the next finger, however near.
-
-    Args:
-        points: Positions, shape (P, 3).
-        home: A vertex of the mesh near each point, shape (P,).
-        stars: Of the mesh.
-        width: Blending distance.
 
     Returns:
         Sparse weights, shape (P, M), float32, not negative, rows sum to 1.

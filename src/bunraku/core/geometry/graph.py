@@ -219,12 +219,8 @@ def mesh_parts(edges: np.ndarray, count: int) -> np.ndarray:
 
 
 def mean_operator(edges: np.ndarray, count: int, own: bool = False) -> csr_matrix:
-    """The matrix that averages values over a vertex's neighbours, shape (V, V), float32, rows sum to 1.
-
-    Args:
-        edges: Undirected edges, each once, shape (E, 2).
-        count: Number of vertices V.
-        own: Whether a vertex counts among its neighbours. A vertex without neighbours always does.
+    """The matrix that averages values over a vertex's neighbours, by undirected edges, each once (E, 2): shape (V, V),
+    float32, rows sum to 1. With `own` a vertex counts among its neighbours; one without neighbours always does.
     """
     degree = np.bincount(edges.reshape(-1), minlength=count)
     selves = np.arange(count) if own else np.flatnonzero(degree == 0)
@@ -235,14 +231,10 @@ def mean_operator(edges: np.ndarray, count: int, own: bool = False) -> csr_matri
 
 
 def bridge_edges(vertices: np.ndarray, parts: np.ndarray, per_part: int = 3) -> np.ndarray:
-    """Edges that join loose parts to their nearest neighbours until the graph is connected, smaller vertex first,
-    sorted, shape (B, 2), int64. In each round every part but the largest is joined to the part nearest to it, between
-    their nearest vertices; joined parts count as one in the next round (Boruvka).
-
-    Args:
-        vertices: Positions, shape (V, 3).
-        parts: Part of each vertex, shape (V,).
-        per_part: Edges that join two parts.
+    """Edges, `per_part` between two, that join loose parts to their nearest neighbours until the graph is connected,
+    smaller vertex first, sorted, shape (B, 2), int64. In each round every part but the largest is joined to the part
+    nearest to it, between their nearest vertices; joined parts count as one in the next round (Boruvka). Vertices have
+    shape (V, 3), and the part of each (V,).
     """
     parts = np.unique(parts, return_inverse=True)[1]
     bridges = np.zeros((0, 2), np.int64)

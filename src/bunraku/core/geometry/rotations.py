@@ -167,16 +167,12 @@ def inverses(matrices: np.ndarray) -> np.ndarray:
 
 
 def heading(root_rotation: np.ndarray, fps: float = 20.0) -> np.ndarray:
-    """Heading of the root: its rotation about +Y [rad], unwrapped and smooth, shape (N,), float64; 0 faces +Z, positive
-    angles go towards +X. Always finite.
+    """Heading of the root, (N, 3, 3), at a rate [1/s]: its rotation about +Y [rad], unwrapped and smooth, shape (N,),
+    float64; 0 faces +Z, positive angles go towards +X. Always finite.
 
     The angle is the twist of the rotation about +Y, which stays well defined for a body on its back, front or side,
     unlike the projection of +Z, with which it agrees when upright. It is lost only upside down: frames count by how
     well defined it is in a Gaussian mean over 0.1 s, and stretches without any are bridged.
-
-    Args:
-        root_rotation: Rotations, shape (N, 3, 3).
-        fps: Frames a second [1/s].
     """
     from bunraku.core.geometry.curves import gaussian
 

@@ -133,17 +133,11 @@ class Patches:
 def find_patches(
     fine: FineMesh, cell: float, max_vertices: int, crowded: bool, offset: np.ndarray | float = 0.0
 ) -> Patches:
-    """The patches of the surface that become network vertices.
+    """The patches of the surface in a grid with an offset [cells] that become network vertices, at most `max_vertices`
+    if possible.
 
     Where loose parts are too many to keep a vertex each, the small ones, and when `crowded` all, merge with whatever
     shares their cell.
-
-    Args:
-        fine: The mesh with its long edges split.
-        cell: Size of a cell.
-        max_vertices: Most patches wanted; there may be more.
-        crowded: Whether large loose parts may merge too.
-        offset: Of the grid, in cells, shape (3,).
     """
     label, key = _inside_cells(fine.vertices, fine.edges, cell, offset)
     if label.max() >= max_vertices:
@@ -311,15 +305,9 @@ def network_mesh(
     max_edge: float = 0.05,
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> NetworkMesh:
-    """The network's version of a mesh, with about 60 % of `max_vertices` vertices. CharacterError if the mesh has no
-    surface, or a coordinate is not finite (see `clean_mesh`).
-
-    Args:
-        vertices: Positions [m], shape (V, 3).
-        faces: Vertex indices, shape (F, 3).
-        max_vertices: Most vertices of the result, at least 100.
-        max_edge: Longest edge to leave unsplit, as a share of the largest extent.
-        offset: Of the grid, in cells; gives another tessellation of the same surface.
+    """The network's version of a mesh of vertices [m] (V, 3) and faces (F, 3), with about 60 % of `max_vertices` (at
+    least 100). Edges up to a share of the largest extent are not split; another offset of the grid [cells] gives
+    another tessellation. CharacterError if the mesh has no surface, or a coordinate is not finite (see `clean_mesh`).
     """
     return network_views(vertices, faces, max_vertices, max_edge, (offset,))[0]
 

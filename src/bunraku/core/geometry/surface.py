@@ -54,16 +54,11 @@ _STEPS = 0.7548776662466927, 0.5698402909980532
 
 
 def surface_points(vertices: np.ndarray, faces: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """`count` points at equal distances in area along the list of faces, and the unit normals of their faces, both (N,
-    3), float64; a normal is 0 where a face has no area.
+    """`count` points at equal distances in area along the list of faces (F, 3) of vertices (V, 3), and the unit normals
+    of their faces, both (N, 3), float64; a normal is 0 where a face has no area.
 
     Rotating the mesh rotates the points; they do not depend on its position or size. A mesh without area gives its
     corners.
-
-    Args:
-        vertices: Positions, any unit, shape (V, 3).
-        faces: Vertex indices, shape (F, 3).
-        count: How many points, N.
     """
     cross = face_normals(vertices, faces)
     area = _lengths(cross)
@@ -105,14 +100,8 @@ def split_estimate(vertices: np.ndarray, faces: np.ndarray, length: float) -> fl
 def split_long_edges(
     vertices: np.ndarray, faces: np.ndarray, length: float, max_faces: int = 400_000
 ) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
-    """Halve the edges longer than `length` until there are none, or until that would add more than `max_faces` faces.
-    All faces at an edge split it at its middle, so the mesh stays as connected as it was.
-
-    Args:
-        vertices: Positions, shape (V, 3).
-        faces: Vertex indices, shape (F, 3).
-        length: Longest edge to leave.
-        max_faces: Bound on the number of new faces.
+    """Halve the edges longer than `length` of faces (F, 3) of vertices (V, 3) until there are none, or until that would
+    add more than `max_faces`. All faces at an edge split it at its middle, so the mesh stays as connected as it was.
 
     Returns:
         Vertices (V + P, 3), the old ones first; faces; and for each round the pairs (P_r, 2) whose middles it appended.
@@ -180,12 +169,8 @@ _FACES, _POINTS = 24, 256
 
 
 def winding_numbers(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """The winding number of a surface about each point, to some 0.02, shape (P,), float64; positive where faces look
-    away from the point.
-
-    Args:
-        points: Shape (P, 3).
-        vertices, faces: Of the surface, shapes (V, 3) and (F, 3).
+    """The winding number of a surface of vertices (V, 3) and faces (F, 3) about each of the points (P, 3), to some
+    0.02, shape (P,), float64; positive where faces look away from the point.
     """
     points, vertices = np.asarray(points, np.float64), np.asarray(vertices, np.float64)
     corners = vertices[faces]
@@ -292,27 +277,19 @@ def _directions(count: int) -> np.ndarray:
 
 
 def extreme_points(points: np.ndarray, count: int = 64) -> np.ndarray:
-    """Indices, in order, of the points that reach farthest in each of `count` directions spread over the sphere.
-
-    A point farther out in some direction than all of these is so by at most about a share 2 / count of its distance.
-
-    Args:
-        points: Shape (n, 3), n > 0.
-        count: How many directions.
+    """Indices, in order, of the points (n, 3), n > 0, that reach farthest in each of `count` directions spread over the
+    sphere. A point farther out in some direction than all of these is so by at most about a share 2 / count of its
+    distance.
     """
     return np.unique((_directions(count) @ (points - points.mean(axis=0)).astype(np.float32).T).argmax(axis=1))
 
 
 def part_extremes(vertices: np.ndarray, weights: np.ndarray, count: int = 160) -> np.ndarray:
-    """Indices, in order, of the extreme points of every part of a body, shape (n,).
+    """Indices, in order, of the extreme points, in `count` directions, of every part of a body of vertices at rest (V,
+    3), shape (n,).
 
-    Parts are the vertices that one handle moves more than the others do, and where a second one has a fair share, as at
-    knees and elbows, those that the two move.
-
-    Args:
-        vertices: Rest positions, shape (V, 3).
-        weights: Skinning weights, shape (V, K).
-        count: How many directions for each part.
+    Parts are the vertices that one handle moves more than the others do, by weights (V, K), and where a second one has
+    a fair share, as at knees and elbows, those that the two move.
     """
     if len(vertices) == 0:
         return np.zeros(0, np.int64)

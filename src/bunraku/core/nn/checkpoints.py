@@ -114,15 +114,9 @@ def halves_of(tensors: dict[str, np.ndarray], names: Iterable[str]) -> None:
 def save_checkpoint(
     path: str | Path, state: Mapping[str, np.ndarray], config: dict[str, object], kind: str, half: bool = False
 ) -> Path:
-    """Write weights with the config that builds their network. WeightsError if the file cannot be written.
-
-    Args:
-        path: The safetensors file.
-        state: Arrays by name.
-        config: JSON values from which the network can be built again.
-        kind: What the weights are, for example "diffusion"; `load_checkpoint` asks for the same word.
-        half: Store matrices as float16 (`planes_of`). Arrays of fewer than 1,024 numbers (statistics, biases) and any
-            that overflow float16 stay as they are.
+    """Write weights of a kind, such as "diffusion", by name, with the config, JSON values, that builds their network.
+    With `half`, matrices are stored as float16 (`planes_of`); arrays of fewer than 1,024 numbers (statistics, biases)
+    and any that overflow float16 stay as they are. WeightsError if the file cannot be written.
     """
     from safetensors.numpy import save
 
@@ -165,14 +159,8 @@ def load_checkpoint(path: str | Path, kind: str, half: bool = False) -> tuple[di
 def load_network(
     path: str | Path, kind: str, build: Callable[[dict[str, object], Weights], Network], *, key: str = "network"
 ) -> Network:
-    """A network of its config and weights. WeightsError if the file is missing, damaged, of another kind, or its
-    weights do not fit its config.
-
-    Args:
-        path: The file.
-        kind: Of the checkpoint.
-        build: Makes the network from its config's fields and its weights.
-        key: Of the network's config in the checkpoint's.
+    """A network made of its config's fields, under a key of the checkpoint's, and its weights by `build`. WeightsError
+    if the file is missing, damaged, of another kind, or its weights do not fit its config.
     """
     state, config = load_checkpoint(path, kind, half=True)
     with fitting_config(path):

@@ -228,18 +228,13 @@ def load_fbx_motion(path: str | Path, clip: int | str | None = None, fps: float 
 
 
 def read_motion(path: Path, data: bytes, *, clip: int | str | None = None, fps: float = 20.0) -> SkeletalMotion:
-    """Read a clip of an FBX file from its bytes.
+    """Read a clip of an FBX file from its bytes at a rate [1/s]: that of a number or name, or the first one that moves
+    something.
 
     A joint's rotation is relative to its rest pose, in axes that are ours there, as in all skeletal motions. The rest
     pose is the bind pose of the file's skin; without a skin that of its bind pose object, then the pose without keys,
     where joints that are oriented by their pre-rotation have no rotation of their own. FormatError if the file cannot
     be read, or has no clip that moves a skeleton; OptionError if it has no clip of this name or number.
-
-    Args:
-        path: The file.
-        data: Its bytes.
-        clip: Number or name of the clip; the first one that moves something by default.
-        fps: Frames a second of the result [1/s].
     """
     scene = read_scene(read_tree(path, data))
     chosen = find_clip(scene, read_clips(scene), clip)

@@ -129,15 +129,8 @@ def _write(
     shapes: np.ndarray | None = None,
     keys: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Path:
-    """Write a character.
-
-    Args:
-        character: The character.
-        bones: What moves it.
-        tracks: What the bones do in each clip.
-        path, up, unit: The file, its up axis and its unit of lengths.
-        shapes: Displacement of each vertex by each shape [m], shape (T, V, 3).
-        keys: Frames and amounts of the shapes in the one clip.
+    """Write a character with what moves it and what the bones do in each clip; `shapes` are displacements of all
+    vertices [m], shape (T, V, 3), and `keys` their frames and amounts in the one clip.
     """
     if path.suffix.lower() != ".fbx":
         raise OptionError(f"FBX is written to a file that ends in .fbx, not in {path.suffix or 'nothing'}")

@@ -301,19 +301,8 @@ def add_mesh(
     bones: Bones | None,
     joints: Sequence[int],
 ) -> tuple[int, list[int]]:
-    """Add a mesh, its materials, its skin and its shapes.
-
-    Args:
-        objects: The file.
-        mesh: The mesh.
-        more: Shapes in addition to its own.
-        character: Its character.
-        look: Where its materials go.
-        bones: What moves it, or None.
-        joints: The numbers of the bones.
-
-    Returns:
-        The number of its model, and those of the channels of its shapes.
+    """Add a mesh, its materials, its skin by the numbers of the joints, and its shapes, `more` after its own; returns
+    the number of its model, and those of the channels of its shapes.
     """
     frame, name = objects.frame, objects.free_name(mesh.name, "nodes")
     points = frame.points(character.vertices[mesh.index].astype(np.float64))

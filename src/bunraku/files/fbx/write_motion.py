@@ -176,15 +176,7 @@ def add_clips(
     joints: Sequence[int],
     shapes: Mapping[str, Sequence[ShapeTrack]] | None = None,
 ) -> None:
-    """Add clips.
-
-    Args:
-        objects: The file.
-        tracks: The joints in each clip, by its name.
-        bones: The joints.
-        joints: Their numbers.
-        shapes: The shapes in each clip.
-    """
+    """Add clips: what the joints do in each, by its name, and the shapes."""
     moving = _moving(objects, tracks, bones, joints)
     for name, track in tracks.items():
         stop = _ticks(len(track.rotations) - 1, track.fps)

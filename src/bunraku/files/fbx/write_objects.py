@@ -141,14 +141,8 @@ class Objects:
     _names: dict[str, set[str]] = field(default_factory=dict)
 
     def add(self, kind: str, name: str, subtype: str = "", *children: Element, label: str | None = None) -> int:
-        """Add an object and return its number.
-
-        Args:
-            kind: "Model", "Geometry" and so on.
-            name: Its name.
-            subtype: The subtype of that kind.
-            children: Elements below it.
-            label: The word after its name, where that is not `kind`.
+        """Add an object of a kind ("Model", "Geometry" ...), with elements below it, and return its number; `label`
+        follows its name where that is not the kind.
         """
         number = _FIRST_ID + len(self._objects)
         title = f"{name}\x00\x01{label or _CLASSES.get(kind, kind)}"

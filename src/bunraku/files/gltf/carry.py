@@ -106,13 +106,9 @@ class MeshCarrier:
         self._carried: dict[tuple[int, str], int] = {}
 
     def mesh(self, part: MeshPart, rest: np.ndarray | None, index: np.ndarray) -> dict[str, Any]:
-        """A mesh entry without joints and weights.
-
-        Args:
-            part: The mesh where a node places it.
-            rest: Positions that replace the raw ones [m], shape (V, 3) over its groups; normals, tangents and morph
-                targets are bent as its skin bends them. None keeps everything as it is.
-            index: Vertex of the character of each of them, shape (V,).
+        """A mesh entry without joints and weights, of a part whose vertices are these of the character, shape (V,).
+        Positions `rest` [m], shape (V, 3) over its groups, replace the raw ones, and normals, tangents and morph
+        targets are bent as its skin bends them; None keeps everything as it is.
         """
         old = self.document.item("meshes", part.mesh)
         mesh: dict[str, Any] = {key: copy.deepcopy(old[key]) for key in ("name", "extras") if key in old}
@@ -323,17 +319,9 @@ def carry_clips(
     unnamed: str | None = None,
     only: Collection[str] | None = None,
 ) -> list[str]:
-    """Add all clips of a document to a builder; names that are taken get a number.
-
-    Args:
-        document: With the clips.
-        builder: Of the document that gets them.
-        nodes: Its node for each node of `document`; channels of others are left out, as are broken ones.
-        unnamed: The name of clips without one; None leaves them so.
-        only: Names of those that are carried; all where None.
-
-    Returns:
-        The names of what was added; a clip without a channel is not.
+    """Add clips of a document, all or `only` those of some names, to the builder of another, and return their names;
+    names that are taken get a number, and clips without one that of `unnamed`. `nodes` has the builder's node for each
+    node of the document; channels of others are left out, as are broken ones, and clips without channels.
     """
     names = [str(clip.get("name")) for clip in builder.tree.get("animations", [])]
     added: list[str] = []

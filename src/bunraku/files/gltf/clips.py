@@ -28,13 +28,9 @@ SAME_BONES = 1e-3
 
 
 def merge_documents(paths: Sequence[Path], path: Path, *, only: Collection[str] | None = None) -> Path:
-    """Write the first file with the clips of all others after its own, onto the nodes of the same names. FormatError if
+    """Write the first of several GLB, glTF or VRM files of one character with the clips of all others, or `only` some
+    of them by name, after its own, onto the nodes of the same names; it may be written over one of them. FormatError if
     a file is broken or holds no clip, or is of another character.
-
-    Args:
-        paths: GLB, glTF or VRM files of one character, at least one.
-        path: The file to write, which may be one of them.
-        only: Names of the clips that are taken from the others; all where None.
     """
     base, *others = [_opened(file) for file in paths]
     builder = whole_document(base)
@@ -182,13 +178,8 @@ class Tracks:
         self.file.write(out.tobytes())
 
     def write(self, builder: GltfBuilder, nodes: list[int], name: str, fps: float) -> None:
-        """Add the clip to a document; its keys are read when that is written.
-
-        Args:
-            builder: With the nodes.
-            nodes: Of each joint, length J.
-            name: The clip's name.
-            fps: Frames a second of what is kept [1/s].
+        """Add the clip to a document with the nodes of the joints; its keys, `fps` a second, are read when that is
+        written.
         """
         self.file.flush()
         every = builder.array((np.arange(self.frames) / fps).astype(np.float32)[:, None], bounds=True)
@@ -212,16 +203,11 @@ class Tracks:
 def write_stretches(
     stretches: Iterable[AnimatedCharacter], path: str | Path, *, fps: float | None = None, name: str | None = None
 ) -> Path:
-    """Write stretches of one character as one clip of a GLB. The first frame of each after the first is the last of the
-    one before, and is written once. Such a file does not hold the handle motion bit for bit, which `bunraku edit` and
-    `--after` read. FormatError if the file cannot be written; OptionError if there is no stretch, `fps` is out of
-    range, or vertices move on their own.
-
-    Args:
-        stretches: One after the other, as `Animator.stretches` gives them: of handles or of bones.
-        path: The file, .glb.
-        fps: Frames a second of the keys [1/s]; those of the motion by default.
-        name: The clip's name; the file's by default.
+    """Write stretches of one character, of handles or of bones as `Animator.stretches` gives them, as one clip of a
+    GLB, with keys at the motion's or another rate and the file's or another name. The first frame of each after the
+    first is the last of the one before, and is written once. Such a file does not hold the handle motion bit for bit,
+    which `bunraku edit` and `--after` read. FormatError if the file cannot be written; OptionError if there is no
+    stretch, `fps` is out of range, or vertices move on their own.
     """
     path = Path(path)
     if path.suffix.lower() != ".glb":

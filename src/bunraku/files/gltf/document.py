@@ -177,13 +177,8 @@ class Document:
         return self.integer(self.item("accessors", index), "count", high=MAX_ELEMENTS)
 
     def accessor(self, index: Any, kinds: tuple[str, ...], raw: bool = False) -> np.ndarray:
-        """The elements of an accessor, sparse values put in place, shape (count, components), in their stored type or
-        float32.
-
-        Args:
-            index: Which accessor.
-            kinds: The element types that are allowed here, such as ("VEC3",).
-            raw: Keep integers as they are stored; otherwise normalised ones become floats.
+        """The elements of an accessor of one of some types ("VEC3" ...), sparse values put in place, shape (count,
+        components), in their stored type or float32: normalised integers become floats unless `raw`.
         """
         accessor = self.item("accessors", index)
         kind, component = accessor.get("type"), accessor.get("componentType")
@@ -271,13 +266,8 @@ class GltfBuilder:
         return self.add("bufferViews", entry)
 
     def array(self, values: np.ndarray, target: int | None = None, bounds: bool = False, **extra: object) -> int:
-        """Add an array of shape (count, components) as an accessor and return its index.
-
-        Args:
-            values: The elements, of a type that glTF has.
-            target: What the GPU uses it for.
-            bounds: Whether to write the smallest and largest values.
-            **extra: Further properties of the accessor, such as `normalized`.
+        """Add an array of shape (count, components), of a type that glTF has, as an accessor with its `bounds` perhaps
+        and further properties, and return its index; `target` is what the GPU uses it for.
         """
         values = np.ascontiguousarray(values)
         count, size = values.shape
@@ -318,12 +308,8 @@ class GltfBuilder:
         clip["samplers"].append({"input": times, "output": values, "interpolation": "LINEAR"})
 
     def clip(self, name: str, times: np.ndarray, tracks: Sequence[tuple[int, str, np.ndarray]]) -> None:
-        """Add a clip of linear channels.
-
-        Args:
-            name: Its name.
-            times: Of the keys [s], shape (N,), float32.
-            tracks: Node, property and keys (N, C) of each channel; one key where nothing moves.
+        """Add a clip of linear channels: times of the keys [s] (N,), float32, and node, property and keys (N, C) of
+        each, one key where nothing moves.
         """
         every, once = self.array(times[:, None], bounds=True), None
         clip: dict[str, Any] = {"name": name, "channels": [], "samplers": []}
@@ -363,13 +349,8 @@ class GltfBuilder:
 def matte_material(
     name: str, color: Sequence[float] | None = None, texture: int | None = None, **more: object
 ) -> dict[str, Any]:
-    """A glTF material that is rough and no metal, as files of formats without such properties mean it.
-
-    Args:
-        name: Its name.
-        color: Linear base colour and opacity; one below 1 makes it blend.
-        texture: Index of its base colour texture.
-        **more: Further entries.
+    """A glTF material that is rough and no metal, as files of formats without such properties mean it: of a linear base
+    colour and opacity, which blends below 1, and the index of a base colour texture.
     """
     shader: dict[str, Any] = {"metallicFactor": 0, "roughnessFactor": 0.9}
     if texture is not None:
@@ -394,12 +375,9 @@ def mesh_document(
     """A glTF document of one mesh, for files of formats that are not glTF.
 
     Args:
-        path: The file that the mesh came from.
         positions: Positions [m], shape (V, 3).
         triangles: For each primitive, vertex indices, shape (F, 3), and its material.
-        normals: Unit normals, shape (V, 3).
-        uvs: Texture coordinates with v downwards, shape (V, 2).
-        colors: Linear colours from 0 to 1, shape (V, 3).
+        normals, uvs, colors: Of unit length (V, 3); with v downwards (V, 2); linear, 0 to 1 (V, 3).
         materials: glTF materials; their textures are numbered as the images.
         images: PNG or JPEG bytes with their MIME type.
     """

@@ -16,12 +16,8 @@ from bunraku.files.gltf.nodes import NodeTree, SkinJoints
 def strongest(
     points: np.ndarray, joints: np.ndarray, shares: np.ndarray, count: int, influences: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The largest shares of each vertex as a table, renormalised.
-
-    Args:
-        points, joints, shares: Vertex, joint and share (not negative) of each influence, shape (S,).
-        count: How many vertices there are, V.
-        influences: Most joints of a vertex.
+    """The largest shares of each of `count` vertices, V, as a table, renormalised: of the vertex, joint and share (not
+    negative) of each influence, shape (S,), at most `influences` joints of a vertex.
 
     Returns:
         Joints (V, M) and shares (V, M), largest first; rows sum to 1, or to 0 where a vertex has none.
@@ -123,14 +119,8 @@ def primitive_triangles(document: Document, primitive: dict[str, object], count:
 
 
 def read_part(document: Document, tree: NodeTree, skins: SkinJoints, node: int, carrier: int) -> MeshPart:
-    """A mesh in world space, in the default pose of its node or of its skin. FormatError if an index, a count or a type
-    is wrong.
-
-    Args:
-        document: The document.
-        tree, skins: Its nodes and joints.
-        node: A node with a mesh.
-        carrier: The joint that carries it where it has no skin (`rigid_joints`).
+    """The mesh of a node in world space, in the default pose of its node or of its skin; `carrier` is the joint that
+    carries it where it has no skin (`rigid_joints`). FormatError if an index, a count or a type is wrong.
     """
     entry = document.item("nodes", node)
     mesh = document.integer(entry, "mesh")

@@ -61,15 +61,9 @@ def read_gltf(path: Path, data: bytes, *, rest: str = "bind") -> Character:
 def character_from_document(
     document: Document, name: str, index: np.ndarray | None = None, suffix: str = ".glb", *, rest: str = "bind"
 ) -> Character:
-    """The character of a glTF document. FormatError if the document is broken; CharacterError if what it holds is no
-    character.
-
-    Args:
-        document: The document.
-        name: The character's name.
-        index: Character vertex of each document vertex where the document repeats vertices of its file, shape (U,).
-        suffix: The format of the file.
-        rest: Its rest pose, "bind" or "default".
+    """The character of a glTF document, resting in its "bind" or "default" pose. `index` is the character's vertex of
+    each document vertex where the document repeats vertices of its file, shape (U,). FormatError if the document is
+    broken; CharacterError if what it holds is no character.
     """
     tree = read_nodes(document)
     skins = read_skins(document, tree)

@@ -302,13 +302,8 @@ _META = {
 
 
 def add_humanoid(tree: dict[str, Any], rig: Rig, nodes: Sequence[int], title: str) -> None:
-    """Make a document that of a VRM 1.0 humanoid where a rig has the names of one and rests in a T-pose.
-
-    Args:
-        tree: The document; what it has of the extension stays.
-        rig: Its bones.
-        nodes: Node of each bone.
-        title: Name of the avatar.
+    """Make a document that of a VRM 1.0 humanoid of a title where a rig, with these nodes for its bones, has the names
+    of one and rests in a T-pose; what the document has of the extension stays.
     """
     place = {name: number for number, name in enumerate(rig.names)}
     extensions = tree.setdefault("extensions", {})

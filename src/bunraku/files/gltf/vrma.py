@@ -52,13 +52,8 @@ def read_glb_motion(path: Path, data: bytes) -> HandleMotion | SkeletalMotion:
 
 
 def load_skeleton_clip(path: str | Path, clip: int | str = 0, fps: float = FPS) -> SkeletalMotion | None:
-    """A clip of a glTF file that holds a skeleton without a mesh; None of other files. FormatError if the file is
-    broken; OptionError if there is no such clip.
-
-    Args:
-        path: The file.
-        clip: Number or name of the clip.
-        fps: Frames a second of the result [1/s].
+    """A clip, by number or name, of a glTF file that holds a skeleton without a mesh, at a rate [1/s]; None of other
+    files. FormatError if the file is broken; OptionError if there is no such clip.
     """
     path = Path(path)
     document = open_document(path, read_bounded(path))
@@ -185,15 +180,11 @@ def _unscaled(matrices: np.ndarray) -> np.ndarray:
 
 
 def write_vrma(motion: SkeletalMotion, path: str | Path, *, fps: float | None = None, name: str | None = None) -> Path:
-    """Write a skeletal motion as VRMA. Players scale the path of the hips by the height of the hips at rest, so the
-    skeleton is written standing on y = 0. FormatError if the file cannot be written; MotionError if the skeleton does
-    not have SMPL's 22 joints; OptionError if `fps` is not a number from 1 to 1000, or the motion has no frame.
-
-    Args:
-        motion: Of SMPL's 22 joints; `bunraku.anatomy.names.to_smpl` converts other skeletons.
-        path: The file.
-        fps: Frames a second of the keys [1/s]; those of the motion by default.
-        name: The clip's name; the file's by default.
+    """Write a motion of SMPL's 22 joints (`bunraku.anatomy.names.to_smpl` converts other skeletons) as VRMA, with the
+    motion's or another rate [1/s] and the file's or another name. Players scale the path of the hips by the height of
+    the hips at rest, so the skeleton is written standing on y = 0. FormatError if the file cannot be written;
+    MotionError if the skeleton does not have SMPL's 22 joints; OptionError if `fps` is not a number from 1 to 1000, or
+    the motion has no frame.
     """
     path = Path(path)
     if not len(motion):

@@ -132,14 +132,10 @@ def add_joints(builder: GltfBuilder, handles: Handles) -> list[int]:
 
 
 def joint_tracks(positions: np.ndarray, motion: HandleMotion) -> tuple[np.ndarray, np.ndarray]:
-    """The motion of the nodes of `add_joints`: translations [m] (N, K, 3) and rotations (N, K, 4), quaternions xyzw,
-    float64.
+    """The motion of the nodes of `add_joints`, of handles h at rest [m] (K, 3): translations [m] (N, K, 3) and
+    rotations (N, K, 4), quaternions xyzw, float64.
 
     The root node gets translation h_0 + t_g and rotation R_g; joint k, its child, gets h_k + t_k - h_0 and R_k (Eq. 3).
-
-    Args:
-        positions: Handle positions h in the rest pose [m], shape (K, 3).
-        motion: N frames of K handles.
     """
     h = positions.astype(np.float64)
     translations = h + motion.translations

@@ -52,11 +52,8 @@ class Shapes:
 
 
 def key_shapes(offsets: np.ndarray, tolerance: float) -> Shapes:
-    """The shapes of some frames, blended in straight lines from each to the next: never more than two at once.
-
-    Args:
-        offsets: Displacements of M points in N frames [m], shape (N, M, 3).
-        tolerance: Largest error of any point in any frame [m].
+    """The shapes of some frames of displacements [m] (N, M, 3), blended in straight lines from each to the next: never
+    more than two at once. No point in any frame is off by more than the tolerance [m].
     """
     last = len(offsets) - 1
     keys = [0]
@@ -267,13 +264,8 @@ class GroupShapes:
 
 
 def shapes_of_meshes(character: Character, moving: np.ndarray, shapes: np.ndarray) -> list[list[GroupShapes]]:
-    """Shapes for the meshes of the character's document that have vertices, in its order; an empty list where nothing
-    moves.
-
-    Args:
-        character: The character.
-        moving: Vertices that move, shape (M,).
-        shapes: Displacement of each by each shape [m], shape (T, M, 3).
+    """Displacements [m] (T, M, 3) of the vertices that move (M,), for the meshes of the character's document that have
+    vertices, in its order; an empty list where nothing moves.
     """
     source = document_of(character)
     numbering = np.full(len(character.vertices), -1)

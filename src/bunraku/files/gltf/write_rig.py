@@ -32,14 +32,9 @@ SMALL = 1e-6  # what changes less, over the size of the rig or as a quaternion, 
 def add_bone_clip(
     builder: GltfBuilder, joints: list[int], local: np.ndarray, have: float, want: float, name: str
 ) -> None:
-    """Add an animation: channels where a node leaves what its entry says, one key where it stays there.
-
-    Args:
-        builder: With the nodes of the bones.
-        joints: Node of each bone, length J.
-        local: Transform of each bone's node in its parent, shape (N, J, 4, 4).
-        have, want: Frames a second of these and of the channels [1/s].
-        name: The clip's name.
+    """Add an animation of the nodes of bones: channels where a node leaves what its entry says, one key where it stays
+    there. `local` are their transforms in their parents, shape (N, J, 4, 4), at a rate `have`; the channels get the
+    rate `want` [1/s].
     """
     nodes = builder.tree["nodes"]
     scale = np.linalg.norm(local[..., :3, :3], axis=-2)

@@ -30,11 +30,8 @@ if TYPE_CHECKING:
 
 
 def split_corners(corners: np.ndarray, vertices: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Positions of different corners among the vertices of a document.
-
-    Args:
-        corners: Different corners, their vertex in column 0, shape (C, columns).
-        vertices: How many vertices the file has, V.
+    """Positions of different corners (C, columns), their vertex in column 0, among the vertices of the document of a
+    file of V vertices.
 
     Returns:
         Document vertex of each corner (C,), file vertex of each document vertex (U,), and the corner that each document
@@ -52,11 +49,8 @@ def split_corners(corners: np.ndarray, vertices: int) -> tuple[np.ndarray, np.nd
 
 
 def fans(corners: np.ndarray, sizes: np.ndarray, materials: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles of polygons and the material of each: corner 0 with each further edge.
-
-    Args:
-        corners: The vertex of each corner, polygon after polygon, shape (sum of sizes,).
-        sizes, materials: Corners and material of each polygon, shape (F,).
+    """Triangles of polygons and the material of each: corner 0 with each further edge. Vertices of the corners stand
+    polygon after polygon, shape (sum of sizes,); sizes and materials are of each polygon, shape (F,).
     """
     counts = np.maximum(sizes - 2, 0)
     face = np.repeat(np.arange(len(sizes)), counts)
@@ -75,13 +69,8 @@ _OPTION_ARGUMENTS = {"-s": 3, "-o": 3, "-t": 3, "-mm": 2} | dict.fromkeys(
 def read_materials(
     path: Path, libraries: list[str], wanted: list[str]
 ) -> tuple[dict[str, int], list[dict[str, Any]], list[tuple[bytes, str]]]:
-    """The materials that an OBJ file uses. A library or texture that is missing or lies outside the file's folder
-    leaves its material without it, since the mesh is still good.
-
-    Args:
-        path: The OBJ file.
-        libraries: What its `mtllib` lines name.
-        wanted: Materials in use, "" for none.
+    """The materials that an OBJ file uses ("" for none), from what its `mtllib` lines name. A library or texture that
+    is missing or lies outside the file's folder leaves its material without it, since the mesh is still good.
 
     Returns:
         Index of each material, glTF materials, and images as bytes with their MIME type.

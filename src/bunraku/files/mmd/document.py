@@ -41,16 +41,9 @@ def model_document(
     bones: Sequence[MmdBone],
     note: Callable[[str, str], None],
 ) -> Document:
-    """The document.
-
-    Args:
-        path: The file; textures are read from its folder and below only.
-        name: Of the model.
-        materials: In the order of the triangles.
-        mesh: Positions [m] (V, 3), normals (V, 3), UVs (V, 2) and triangles (F, 3).
-        skin: Bones (V, 4) and shares (V, 4) of each vertex.
-        bones: Without loops.
-        note: Called with a problem and the name of its subject.
+    """The document of a model whose textures are read from the folder of its file and below only. Materials are in the
+    order of the triangles; the mesh is positions [m] (V, 3), normals (V, 3), UVs (V, 2) and triangles (F, 3), the skin
+    bones (V, 4) and shares (V, 4) of each vertex. `note` is called with a problem and the name of its subject.
     """
     builder = GltfBuilder()
     positions, normals, uvs, triangles = mesh

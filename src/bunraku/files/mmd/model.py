@@ -88,13 +88,7 @@ class MmdReader:
         return int(self.one({1: "b", 2: "h", 4: "i"}[size]))
 
     def count(self, section: str, least: int, layout: str = "i") -> int:
-        """How many records follow, as long as they fit into the file.
-
-        Args:
-            section: Their name.
-            least: Least size of each [bytes].
-            layout: Of the number itself.
-        """
+        """How many records of at least a size [bytes] follow in a section, as long as they fit into the file."""
         self.section = section
         count = int(self.one(layout))
         if count < 0 or count * least > self.left:
@@ -122,13 +116,7 @@ Note = Callable[[str, str], None]
 
 
 def read_body(reader: MmdReader, name: str, bone: int, origin: np.ndarray) -> MmdBody:
-    """A rigid body from its group on.
-
-    Args:
-        reader: Behind its bone.
-        name, bone: Its name and bone.
-        origin: What its position counts from [m], shape (3,).
-    """
+    """A rigid body of a name and a bone, from its group on; `origin` is the origin of its position [m], shape (3,)."""
     group, mask, shape = reader.values("BHB")
     size, position, angles = reader.floats(3), reader.floats(3), reader.floats(3)
     mass, linear, angular, restitution, friction, mode = reader.values("5fB")
@@ -151,13 +139,7 @@ def read_joint(reader: MmdReader, name: str, bodies: tuple[int, int]) -> MmdJoin
 def check_physics(
     bodies: list[MmdBody], joints: list[MmdJoint], bones: int, note: Note
 ) -> tuple[tuple[MmdBody, ...], tuple[MmdJoint, ...]]:
-    """The bodies and joints that can be used.
-
-    Args:
-        bodies, joints: As the file has them.
-        bones: How many bones there are.
-        note: Called with a problem and the name of its subject.
-    """
+    """The bodies and joints that can be used in a file of some bones."""
     kept: dict[int, MmdBody] = {}
     for index, body in enumerate(bodies):
         numbers = [body.mass, body.linear_damping, body.angular_damping, body.restitution, body.friction]
@@ -236,12 +218,9 @@ class MmdFile:
 
 
 def mmd_character(path: Path, file: MmdFile) -> Character:
-    """The character that a file holds, its model as its `avatar`. FormatError if a vertex or bone does not exist, or a
-    bone has no position; CharacterError if what it holds is no character.
-
-    Args:
-        path: The file; textures are looked for in its folder and below, nowhere else.
-        file: What it says.
+    """The character that a file holds, its model as its `avatar`; textures are looked for in its folder and below,
+    nowhere else. FormatError if a vertex or bone does not exist, or a bone has no position; CharacterError if what it
+    holds is no character.
     """
     _check_mesh(path, file)
     bones = _check_bones(path, file)

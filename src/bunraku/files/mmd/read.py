@@ -238,14 +238,8 @@ def _physics(read: _Read) -> None:
 def _add_physics(
     reader: MmdReader, out: MmdFile, sizes: tuple[int, int], layout: str, add: tuple[Callable[[], None], ...]
 ) -> None:
-    """Read rigid bodies and joints, where there are any; more than can be simulated are left out, with a warning.
-
-    Args:
-        reader: At the number of bodies.
-        out: What the file says.
-        sizes: Least size of a body and of a joint [bytes].
-        layout: Of their numbers.
-        add: Functions that read a body and a joint.
+    """Read rigid bodies and joints, where there are any, with the functions `add`; more than can be simulated are left
+    out, with a warning. `sizes` are the least of a body and of a joint [bytes], `layout` that of their numbers.
     """
     if not reader.left:
         return

@@ -161,12 +161,8 @@ def _tracks(keys: np.ndarray) -> dict[str, VmdTrack]:
 
 
 def _eased(curves: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Progress of each channel, from 0 to 1, at a share of the time between two keys: y where x is that share, on a
-    Bezier curve.
-
-    Args:
-        curves: Control points x1, y1, x2, y2 of four channels, shape (N, 4, 4).
-        share: From 0 to 1, shape (N,).
+    """Progress of each of four channels, from 0 to 1, at a share of the time between two keys (N,): y where x is that
+    share, on a Bezier curve of control points x1, y1, x2, y2 (N, 4, 4).
     """
     x1, y1, x2, y2 = np.moveaxis(curves, -1, 0)
     low, high = np.zeros_like(x1), np.ones_like(x1)

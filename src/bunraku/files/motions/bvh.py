@@ -390,13 +390,10 @@ def write_bvh(
     up: str = "+y",
     order: str = "zxy",
 ) -> Path:
-    """Write a skeletal motion as BVH. FormatError if the file cannot be written; OptionError if an option makes no
-    sense, or the motion has no frame.
+    """Write a skeletal motion as BVH, at its own or another rate [1/s]. FormatError if the file cannot be written;
+    OptionError if an option makes no sense, or the motion has no frame.
 
     Args:
-        motion: At least one frame.
-        path: The file.
-        fps: Frames a second of the file [1/s]; those of the motion by default.
         unit: Unit of lengths, one of `BVH_UNITS`; most programs take "cm".
         up: "+y", or "+z" for programs that use the file's axes as they are.
         order: Order of the rotation channels, "zxy" as in most files.
