@@ -379,13 +379,15 @@ def test_bones_are_known_by_the_skin_that_they_hold(hard):
     assert RigParts.by_skin(replace(body, character=replace(dog, rig=alone))) is None
 
 
-def spider(legs=4) -> Character:
-    """A ball and legs of two bones on each side, on a skeleton without names: bones are boxes of one bone each."""
+def spider(legs=4, bent=0.3) -> Character:
+    """A ball and legs of two bones on each side, on a skeleton without names: bones are boxes of one bone each; knees
+    are higher and tips lower by `bent`.
+    """
     heads, parents, ends = [np.array([0.0, 0.3, 0])], [-1], [np.array([0.0, 0.3, 0.1])]
     for side in (-1, 1):
         for number in range(legs):
             away = np.array([side, 0, 1.2 * number / (legs - 1) - 0.6])
-            line = [[0, 0.3, 0] + 0.1 * away, [0, 0.6, 0] + 0.5 * away, [0, 0, 0] + away]
+            line = [[0, 0.3, 0] + 0.1 * away, [0, 0.3 + bent, 0] + 0.5 * away, [0, 0.3 - bent, 0] + away]
             for part in range(2):
                 parents.append(0 if part == 0 else len(heads) - 1)
                 heads.append(line[part])
@@ -412,10 +414,18 @@ def spider(legs=4) -> Character:
 
 def test_many_legs_are_known_by_the_tree_of_their_bones():
     parts = understood_rig(spider())
-    assert parts is not None and parts.anatomy.plan.legs == 8 and not parts.anatomy.upright
+    assert parts is not None and not parts.anatomy.upright
+    assert parts.anatomy.plan.legs == len(parts.anatomy.legs) == 8  # each with a knee
     legs = parts.parts[1:].reshape(8, 3)
     assert len(set(legs[:, 0])) == 8 and len(set(legs[:, :2].ravel())) == 16  # each has handles of its own
     assert legs_of_rig(spider(2)) is None and legs_of_rig(make_sample("dog", rigged=True)) is None
+
+
+def test_legs_that_rest_level_stand():
+    body = understood_rig(spider(bent=0)).anatomy
+    stance = body.stance[0].vertices
+    tips = [stance[leg.sole, 1].min() for leg in body.legs]
+    assert len(tips) == 8 and max(tips) < stance[body.mesh_handles.weights[:, 0] > 0.5, 1].min()
 
 
 def test_many_legs_go_straight_on():

@@ -255,9 +255,6 @@ def estimated_reference_joints() -> Joints:
     return find_joints(body.character(), body.handles)
 
 
-# Tried in the same run: 0.7 and 1.4 times this change nothing.
-TOUCH = 1e-3  # least overlap of two parts of one limb, over that of the outer one with itself
-
 _LIMBS = [*starmap(limb_handles, product(SIDES, FAMILIES))]
 _LEAVES = sorted(set(range(len(HANDLE_NAMES))) - set(HANDLE_PARENTS))
 
@@ -283,18 +280,22 @@ def _limb_of(role: int) -> list[int]:
 
 
 def further_limbs(handles: Handles) -> list[list[int]]:
-    """The handles of each further limb, from the body outwards; a part is of the limb that its weights touch most."""
+    """The handles of each further limb, from the body outwards; a part is of the limb that its weights touch most, or,
+    where each vertex goes with one bone, of the nearest.
+    """
     out: list[list[int]] = []
-    roles = handles.played
+    roles, weights, positions = handles.played, handles.weights, handles.positions
     further = np.flatnonzero(roles != np.arange(len(roles)))
     for handle in further[np.argsort(roles[further], kind="stable")].tolist():
-        role = int(roles[handle])
-        open_ends = [limb for limb in out if roles[limb[-1]] in _limb_of(role) and roles[limb[-1]] < role]
-        touch = [float(handles.weights[:, handle] @ handles.weights[:, limb[-1]]) for limb in open_ends]
-        if touch and max(touch) > TOUCH * float((handles.weights[:, handle] ** 2).sum()):
-            open_ends[int(np.argmax(touch))].append(handle)
-        else:
+        limb = _limb_of(int(roles[handle]))
+        open_ends = [other for other in out if roles[other[-1]] in limb and roles[other[-1]] < roles[handle]]
+        if not open_ends or roles[handle] == limb[0]:
             out.append([handle])
+            continue
+        ends = [other[-1] for other in open_ends]
+        touch, away = weights[:, handle] @ weights[:, ends], positions[ends] - positions[handle]
+        nearest = touch if touch.max() > 0 else -np.linalg.norm(away, axis=1)
+        open_ends[int(nearest.argmax())].append(handle)
     return out
 
 

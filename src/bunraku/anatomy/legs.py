@@ -121,7 +121,7 @@ def legs_of_rig(character: Character) -> Handles | None:
                 columns = _PARTS[_LEGS + side][:3]
             elif number:
                 columns = [handle for _, handle in zip(columns, spare, strict=False)]
-                roles[columns] = _PARTS[side][: len(columns)]
+            roles[columns] = _PARTS[side][: len(columns)]
             if not columns:
                 return None
             length = np.linalg.norm(np.diff(at[leg], axis=0), axis=1)

@@ -55,6 +55,8 @@ third, and rigs without legs hold none of those of the mesh.
 """
 NEAR_HEAD = 0.1
 """A joint is at the head of its bone where that is so near, over the height. Chosen by eye."""
+LEVEL, KNEE_UP = 0.2, (0.7, -1.2)
+"""A leg of many that falls by less over its reach rests level; how much its parts rise then. By eye on two spiders."""
 FEWEST_PARTS = 3  # parts that the bones of a body move
 _WINGS, _TAIL = (
     [[HANDLE_NAMES.index(f"{side}_wing")] for side in SIDES],
@@ -164,8 +166,11 @@ class RigParts:
             leads[parts[bone]] = bone if parts[bone] != NO_HANDLE else leads[parts[bone]]
         measured = Anatomy.of(character, handles)
         joints = measured.joints if found.rigid else _at_heads(measured.joints, rig.positions, leads, character.height)
-        still = _still(parts, parents, mass)
-        return cls(character, handles, joints, measured.rotations, parts, leads, parents, still, hung=False)
+        still, turns = _still(parts, parents, mass), measured.rotations
+        if measured.has_extra_legs:
+            plain = [[handle for handle in leg if measured.own[handle]] for leg in LEGS]
+            turns = _lowered(turns, handles, joints, plain + measured.further)
+        return cls(character, handles, joints, turns, parts, leads, parents, still, hung=False)
 
     @cached_property
     def anatomy(self) -> Anatomy:
@@ -241,6 +246,32 @@ def _at_heads(joints: Joints, heads: np.ndarray, leads: np.ndarray, height: floa
     near = (leads >= 0) & (np.linalg.norm(heads[leads] - joints.positions, axis=1) < NEAR_HEAD * height)
     near[0] = False
     return replace(joints, positions=np.where(near[:, None], heads[leads], joints.positions))
+
+
+def _lowered(turns: np.ndarray, handles: Handles, joints: Joints, legs: list[list[int]]) -> np.ndarray:
+    """Rotations (K, 3, 3) from the rest pose into a stance, with legs that rest level, as rigs of spiders have them, up
+    to their knees and down to their tips.
+
+    Args:
+        turns: Of the handles.
+        handles: Of a body on many legs.
+        joints: Where they meet.
+        legs: The handles of each leg, from the body outwards.
+    """
+    out = turns.copy()
+    for leg in legs:
+        upper, *lower = [handle for handle in leg if joints.present[handle]] or [0]
+        if not lower:
+            continue
+        hip, knee = joints.positions[[upper, lower[0]]]
+        shin = handles.positions[lower[-1]] - knee
+        whole = knee + shin - hip
+        level = float(np.hypot(whole[0], whole[2]))
+        if -whole[1] < LEVEL * level:
+            outwards = np.array([whole[0], 0, whole[2]]) / level
+            out[upper] = rotation_between(knee - hip, outwards + [0, KNEE_UP[0], 0])
+            out[lower] = rotation_between(shin, outwards + [0, KNEE_UP[1], 0])
+    return out
 
 
 def _moves_all(body: Anatomy, shared: np.ndarray, parts: np.ndarray) -> bool:
