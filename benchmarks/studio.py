@@ -36,7 +36,7 @@ from bunraku_lab.synthetic.samples import make_sample
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "studio"))
 
-from conftest import Studio
+from studio_process import Studio
 
 PROMPT, SECONDS = "walks forward and waves", 4.0
 PAUSE = 0.1

@@ -24,8 +24,8 @@ from urllib.parse import urlsplit
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "studio"))
 
-from conftest import Studio, as_somebody, no_space
 from studio import resident
+from studio_process import Studio, as_somebody, no_space
 
 TABS, STREAMS, HUGE = 12, 300, 300 << 20
 

@@ -339,7 +339,7 @@ def test_unknown_sample_command_and_group(fails, tmp_path):
     ("words", "sentence"),
     [
         (["animate"], "missing from bunraku animate: CHARACTER; `bunraku animate --help` shows"),
-        (["animate", "a.glb", "walks", "--seconds", "soon"], "could not convert string to float: 'soon'"),
+        (["animate", "a.glb", "walks", "--seconds", "soon"], "a number is expected, not 'soon'"),
         (["animate", "a.glb", "walks", "--secnds", "2"], "no option '--secnds'; did you mean '--seconds'?"),
         (["animate", "a.glb", "walks", "--rig", "mine"], "'mine' for argument '--rig'. Expected one of ('auto',"),
         (["inspect", "a.glb", "--nonsense=4"], "there is no option '--nonsense'"),
@@ -352,7 +352,7 @@ def test_wrong_options_are_one_sentence(fails, words, sentence):
 
 def test_options_of_a_part_of_a_command_carry_its_name(fails):
     known = "train", "handles", "--cache", "nowhere", "--out", "out", "--loss.root-unit"
-    assert "could not convert string to float: 'big'" in fails(*known, "big")
+    assert "a number is expected, not 'big'" in fails(*known, "big")
 
 
 def test_first_attempts_are_answered_sensibly(fails, good, monkeypatch):

@@ -24,6 +24,7 @@ def test_each_of_several_arguments_is_checked_by_itself():
         ((1, 2.0, "3"), {}, r"more\[1\] must be float, not '3'"),
         ((1,), {"name": 4}, "name must be str or None, not 4"),
         ((1,), {"way": 5}, "way must be 'up' or 'down' or None, not 5"),
+        ((), {"number": 1}, "given: missing a required argument: 'count'; it takes count, more, way, options"),
     ):
         with pytest.raises(OptionError, match=f"^{message}$"):
             given(*args, **options)

@@ -1,5 +1,6 @@
 """USD files, read and skinned by USD itself."""
 
+import resource
 import sys
 
 import numpy as np
@@ -57,6 +58,20 @@ def test_skinned_by_usd(pxr, animation, tmp_path, suffix, points):
     assert stage.GetTimeCodesPerSecond() == 20 and stage.GetRootLayer().framesPerSecond == 20
     assert np.array_equal(np.array(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3), animation.character.faces)
     assert [entry.name for entry in tmp_path.iterdir()] == [path.name]  # nothing is left beside it
+
+
+@pytest.mark.parametrize("suffix", ["usda", "usdc", "usdz"])
+def test_a_full_disk_leaves_the_old_file(pxr, animation, tmp_path, monkeypatch, suffix):
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)  # modules imported meanwhile would be cut off, for good
+    path = animation.save(tmp_path / f"dance.{suffix}")
+    old, limits = path.read_bytes(), resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (200, limits[1]))
+    try:
+        with pytest.raises(FormatError, match="free some space"):
+            animation.save(path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert path.read_bytes() == old and [entry.name for entry in tmp_path.iterdir()] == [path.name]
 
 
 @pytest.mark.parametrize("points", [False, True])

@@ -166,6 +166,11 @@ def _first_part(box: str) -> str:
         if row.strip(" ─-") and not row.startswith(" " * 9):
             out.append(row.strip())
     said = " ".join(out).rstrip(".").replace("Unrecognized options", "Not understood")
+    for words, kind in (
+        ("could not convert string to float:", ""),
+        ("invalid literal for int() with base 10:", "whole "),
+    ):
+        said = said.replace(words, f"a {kind}number is expected, not")
     return said[:1].lower() + said[1:]
 
 
@@ -264,12 +269,8 @@ def _print_help(verbs: Verbs, group: str = "") -> None:
             print("\nfor research, each with a list of its own (`bunraku help train`):")
         for word, names in sorted(research.items()):
             start = f"  {word:<{width}}  "
-            listed = ", ".join(sorted(names))
-            print(
-                textwrap.fill(
-                    listed, 100, initial_indent=start, subsequent_indent=" " * len(start), break_on_hyphens=False
-                )
-            )
+            wrap = textwrap.TextWrapper(100, start, " " * len(start), break_on_hyphens=False)
+            print(wrap.fill(", ".join(sorted(names))))
         print("\n  --version  print the version\n  --debug    show the traceback of an error (or set BUNRAKU_DEBUG=1)")
         print(
             '\nexample: bunraku animate dragon.glb "walks forward, then waves" --seconds 6 -o dragon-wave.glb '

@@ -303,15 +303,21 @@ _KINDS: dict[str, type] = {"float": numbers.Real, "int": numbers.Integral, "Mapp
 
 
 def checked(function: Callable[_Given, _Result]) -> Callable[_Given, _Result]:
-    """The function, with an OptionError where an argument is of none of the types that its annotation names.
+    """The function, with an OptionError where an argument is missing, unknown or of none of the types that its
+    annotation names.
 
     Annotations are read as text, so that types need not be imported. What stands in brackets is not looked at.
     """
 
+    signature, known = inspect.signature(function), function.__globals__
+
     @functools.wraps(function)
     def call(*args: _Given.args, **kwargs: _Given.kwargs) -> _Result:
-        signature, known = _signature(function), function.__globals__
-        for name, given in signature.bind(*args, **kwargs).arguments.items():
+        try:
+            bound = signature.bind(*args, **kwargs)
+        except TypeError as error:
+            raise OptionError(f"{function.__name__}: {error}; it takes {', '.join(signature.parameters)}") from None
+        for name, given in bound.arguments.items():
             annotation, kind = str(function.__annotations__.get(name, "object")), signature.parameters[name].kind
             values, kinds = {name: given}, _parts(annotation)
             if kind in (inspect.Parameter.VAR_KEYWORD, inspect.Parameter.VAR_POSITIONAL):
@@ -323,11 +329,6 @@ def checked(function: Callable[_Given, _Result]) -> Callable[_Given, _Result]:
         return function(*args, **kwargs)
 
     return call
-
-
-@functools.cache
-def _signature(function: Callable[..., object]) -> inspect.Signature:
-    return inspect.signature(function)
 
 
 @functools.cache

@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from bunraku.anatomy.anatomy import Anatomy, reference_anatomy
 from bunraku.core.arrays import lzma_filters, pack_steps, unpack_steps
 from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES
 from bunraku.core.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, nearest_rotation
-from bunraku.core.motion import HandleMotion
+from bunraku.core.motion import HandleMotion, resample
 from bunraku.core.travel import placed_at
 from bunraku.errors import WeightsError
 from bunraku.language.captions import caption_table, conjugate
@@ -38,6 +38,7 @@ height; chosen by eye on sheets."""
 FAR = 0.7  # an animal whose shape is farther from a body shows nothing to it; chosen by eye on a crocodile (0.86)
 LESS = 0.3  # what each place counts by which an action stands behind the one that is asked for; chosen by eye
 SPREAD = 0.2  # scale of the Gumbel numbers that make seeds differ; chosen by eye
+PACES = 0.85, 1.15  # how fast a clip is done, for seeds that take the same one to differ; chosen by eye on a dragon
 _PELVIS, _HEAD = HANDLE_NAMES.index("pelvis"), HANDLE_NAMES.index("head")
 
 
@@ -205,20 +206,28 @@ def creature_motion(sentence: Sentence, anatomy: Anatomy, seed: int) -> Creature
         ]  # fmt: skip
         if not offered:
             return None
-        part = _lasting(max(offered, key=lambda pair: pair[0])[1], max(round(clause.seconds * FPS), 1))
+        clip = max(offered, key=lambda pair: pair[0])[1]
+        part = _lasting(clip, max(round(clause.seconds * FPS), 1), random)
         taken = part if taken is None else _followed(*taken, *part)
     return None if taken is None else CreatureMotion(taken[0], anatomy.plan, taken[1])
 
 
-def _lasting(clip: CreatureClip, frames: int) -> tuple[HandleMotion, np.ndarray]:
-    """A clip for so many frames, again and again; a death is held at its end."""
+def _lasting(clip: CreatureClip, frames: int, random: np.random.Generator) -> tuple[HandleMotion, np.ndarray]:
+    """A clip for so many frames, again and again, each time at a pace of its own; a death is held at its end."""
     motion, heights = clip.unpacked
+
+    def once() -> tuple[HandleMotion, np.ndarray]:
+        paced = resample(motion, FPS / random.uniform(*PACES))
+        return replace(paced, fps=FPS), np.interp(
+            np.linspace(0, 1, len(paced)), np.linspace(0, 1, len(motion)), heights
+        )
+
+    whole = once()
     if clip.action == "death":
-        indices = np.minimum(np.arange(frames), len(motion) - 1)
-        return motion.take(indices), heights[indices]
-    whole = motion, heights
+        indices = np.minimum(np.arange(frames), len(whole[0]) - 1)
+        return whole[0].take(indices), whole[1][indices]
     while len(whole[0]) < frames:
-        whole = _followed(*whole, motion, heights)
+        whole = _followed(*whole, *once())
     return whole[0].take(slice(frames)), whole[1][:frames]
 
 

@@ -97,8 +97,9 @@ def test_without_data_every_row_says_what_it_lacks(tmp_path):
     assert any("--data" in row["not_run"] for row in measure_tables(TablesConfig())[0]["rows"])
 
 
-def test_the_command_prints_json(tmp_path, capsys):
-    EvaluateTables(paper="mmdmc", table=3, work=tmp_path, json=True).run()
+def test_the_command_prints_json_in_a_folder_where_nothing_was_measured(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    EvaluateTables(paper="mmdmc", table=3, json=True).run()
     (table,) = json.loads(capsys.readouterr().out)["tables"]
     assert table["rows"][2]["cells"]["PMD_a"]["paper"] == 1.91
     assert table["rows"][2]["cells"]["PMD_a"]["paper_over_reference"] == pytest.approx(1.91 / 5.42)
