@@ -274,7 +274,7 @@ def square(**settings) -> Scene:
 
 def test_other_versions_are_named(tmp_path):
     refused(tmp_path / "bad.fbx", HEAD + struct.pack("<I", 6100) + bytes(20), "FBX 6.1, which is not read")
-    refused(tmp_path / "bad.fbx", HEAD + struct.pack("<I", 9000) + bytes(20), "FBX 9.0, newer than what is read")
+    refused(tmp_path / "bad.fbx", HEAD + struct.pack("<I", 9000) + bytes(20), "FBX 9.0, which is not read")
     refused(
         tmp_path / "bad.fbx",
         b"; FBX 6.1.0 project file\nFBXHeaderExtension:  {\n\tFBXVersion: 6100\n}\n",

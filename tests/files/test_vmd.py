@@ -99,11 +99,11 @@ def test_broken_files_get_one_sentence(tmp_path):
 
     refused(b"MMD Motion" + good, "not a VMD file")
     refused(good[:50] + b"\xff\xff\xff\xff" + good[54:], "announces 4294967295 bone keys but has room for 3")
-    refused(good[:52], "cut off before its bone keys")
+    refused(good[:52], "cut off in its bone keys")
     refused(good[:150], "announces 2 bone keys")
     end = good.index(struct.pack("<IBI", 0, 1, 1), 300)
     refused(good[: end + 5] + b"\xff\xff\xff\xff" + good[end + 9 :], "announces 4294967295 inverse kinematics bones")
-    refused(good[:end] + struct.pack("<IBI", 0, 1, 1), "in one key but is cut off")
+    refused(good[:end] + struct.pack("<IBI", 0, 1, 1), "announces 1 inverse kinematics bones but has room for 0")
     refused(good[: end - 4] + b"\xff\xff\xff\xff" + good[end:], "announces 4294967295 inverse kinematics keys")
     refused(vmd([bone("頭", 0, (np.nan, 0, 0))]), "not numbers")
     refused(vmd([bone("頭", 0, rotation=(np.inf, 0, 0, 1))]), "not numbers")

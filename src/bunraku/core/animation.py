@@ -13,7 +13,7 @@ from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 
-from bunraku.core.character import Character, Handles, Rig
+from bunraku.core.character import Character, Handles, Rig, check_weighed
 from bunraku.core.geometry.curves import smooth_step
 from bunraku.core.geometry.rotations import Resampling, axis_angle_from_matrix, matrix_from_axis_angle, matrix_y
 from bunraku.core.motion import HandleMotion, check_rate, frozen_array, resample
@@ -44,16 +44,10 @@ class Animation(Shown):
     reference: HandleMotion | None = None
 
     def __post_init__(self) -> None:
-        if len(self.handles.weights) != len(self.character.vertices):
-            raise CharacterError(
-                f"the handles weigh {len(self.handles.weights)} vertices but the character has "
-                f"{len(self.character.vertices)}"
-            )
-        if self.motion.translations.shape[1] != len(self.handles.positions):
-            raise MotionError(
-                f"the motion has {self.motion.translations.shape[1]} handles but the character has "
-                f"{len(self.handles.positions)}"
-            )
+        check_weighed(self.character, self.handles)
+        moved, have = self.motion.translations.shape[1], len(self.handles.positions)
+        if moved != have:
+            raise MotionError(f"the motion has {moved} handles but the character has {have}")
 
     @property
     def fps(self) -> float:
@@ -202,15 +196,7 @@ class RigAnimation(Shown):
     def motion(self) -> HandleMotion:
         """The motion of `handles`, so that whatever plays or writes an `Animation` can use this."""
         affine = self._affine[:, self._used].astype(np.float64)
-        positions = self.handles.positions[1:].astype(np.float64)
-        frames = len(affine)
-        rotations = np.tile(np.eye(3), (frames, len(positions) + 1, 1, 1))
-        rotations[:, 1:] = affine[..., :3]
-        translations = np.zeros((frames, len(positions) + 1, 3))
-        translations[:, 1:] = affine[..., 3] - positions + np.einsum("njab,jb->nja", affine[..., :3], positions)
-        return HandleMotion(
-            translations, rotations, np.zeros((frames, 3)), np.broadcast_to(np.eye(3), (frames, 3, 3)), self.fps
-        )
+        return behind_still(affine, self.handles.positions[1:].astype(np.float64), self.fps)
 
     def animation(self) -> Animation:
         """The same as an animation of `handles`."""
@@ -233,6 +219,18 @@ class RigAnimation(Shown):
         known = self.reference
         known = known.take(frames) if known is not None and len(known) == len(self) else None
         return replace(self, rotations=self.rotations[frames], translations=self.translations[frames], reference=known)
+
+
+def behind_still(affine: np.ndarray, positions: np.ndarray, fps: float) -> HandleMotion:
+    """The motion of handles at rest [m] (J, 3) by affine transforms from there (N, J, 3, 4), float64, behind a first
+    handle that stands still.
+    """
+    frames, joints = affine.shape[:2]
+    rotations, translations = np.tile(np.eye(3), (frames, joints + 1, 1, 1)), np.zeros((frames, joints + 1, 3))
+    rotations[:, 1:] = affine[..., :3]
+    translations[:, 1:] = affine[..., 3] - positions + np.einsum("njab,jb->nja", affine[..., :3], positions)
+    still = np.broadcast_to(np.eye(3), (frames, 3, 3))
+    return HandleMotion(translations, rotations, np.zeros((frames, 3)), still, fps)
 
 
 def bone_order(parents: np.ndarray) -> list[int]:
@@ -264,10 +262,8 @@ class PointAnimation(Shown):
     def of_vertices(cls, animation: Animation, vertices: np.ndarray) -> PointAnimation:
         """The animation whose vertices are in these positions [m], shape (N, V, 3)."""
         if np.shape(vertices) != (len(animation.motion), len(animation.character.vertices), 3):
-            raise MotionError(
-                f"vertices must be those of {len(animation.motion)} frames of the animation, not of shape "
-                f"{np.shape(vertices)}"
-            )
+            frames, shape = len(animation.motion), np.shape(vertices)
+            raise MotionError(f"vertices must be those of {frames} frames of the animation, not of shape {shape}")
         return cls(animation, np.asarray(vertices, np.float32) - animation.vertices())
 
     @property

@@ -35,22 +35,13 @@ def open_npz(path: Path, data: bytes) -> Iterator[zipfile.ZipFile]:
     """The archive of an .npz file. FormatError if it is broken, or the code in the block finds it so."""
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            if any(
-                entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for entry in archive.infolist()
-            ):
+            if {entry.compress_type for entry in archive.infolist()} - {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}:
                 raise zipfile.BadZipFile  # numpy writes no others, and their errors are of other kinds
             yield archive
     except (
-        zipfile.BadZipFile,
-        EOFError,
-        NotImplementedError,
-        OSError,
-        RuntimeError,
-        SyntaxError,
-        TypeError,
-        ValueError,
+        zipfile.BadZipFile, EOFError, NotImplementedError, OSError, RuntimeError, SyntaxError, TypeError, ValueError,
         zlib.error,
-    ):
+    ):  # fmt: skip
         raise FormatError(path, "the NPZ is truncated or broken; save it again") from None
 
 
@@ -65,11 +56,7 @@ def refuse_objects(path: Path, archive: zipfile.ZipFile) -> None:
         with archive.open(f"{name}.npy") as file:
             header = io.BytesIO(file.read(65536))
         if _header(header)[1].hasobject:
-            raise FormatError(
-                path,
-                f"its array '{name}' holds pickled objects, which can run code when loaded, and is refused; save "
-                "plain numbers",
-            )
+            raise FormatError(path, f"its array '{name}' holds pickled objects, which can run code; save plain numbers")
 
 
 def read_member(path: Path, archive: zipfile.ZipFile, name: str, data_size: int) -> np.ndarray:
@@ -80,10 +67,8 @@ def read_member(path: Path, archive: zipfile.ZipFile, name: str, data_size: int)
     if entry.file_size > MAX_ARRAY_BYTES:
         raise FormatError(path, f"its array '{name}' unpacks to more than {MAX_ARRAY_BYTES >> 30} GiB; cut the motion")
     if entry.file_size > FREE_BYTES + MAX_GROWTH * data_size:
-        raise FormatError(
-            path,
-            f"its array '{name}' unpacks to {entry.file_size // data_size} times the size of the file; save it again",
-        )
+        times = entry.file_size // data_size
+        raise FormatError(path, f"its array '{name}' unpacks to {times} times the size of the file; save it again")
     with archive.open(entry) as file:
         return _plain(path, file.read(entry.file_size), f" '{name}'")
 
@@ -94,9 +79,7 @@ def _header(file: io.BytesIO) -> tuple[tuple[int, ...], np.dtype]:
     header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     try:
         shape, _, dtype = header(file)
-    except (
-        Exception
-    ) as error:  # a header is Python text: its parser fails in many ways, even for memory where brackets are deep
+    except Exception as error:  # a header is Python text: its parser fails in many ways, for memory in deep brackets
         raise ValueError(str(error)) from None
     return shape, dtype
 
@@ -108,9 +91,7 @@ def _plain(path: Path, data: bytes, name: str) -> np.ndarray:
     for length in shape:
         size *= int(length)
     if dtype.hasobject:
-        raise FormatError(
-            path, f"its array{name} holds pickled objects, not plain numbers, and is refused; save plain numbers"
-        )
+        raise FormatError(path, f"its array{name} holds pickled objects, not plain numbers; save plain numbers")
     if dtype.kind not in "bfiu" or size != len(data) - content.tell():
         raise FormatError(path, f"its array{name} is not plain numbers, or is cut short; save it again")
     content.seek(0)

@@ -104,13 +104,12 @@ class Character:
             raise CharacterError(f"{self.name}: the mesh is empty; export it again with its vertices")
         if len(self.faces) == 0:
             raise CharacterError(
-                f"{self.name}: these are points without faces; make a surface of them first (for example with "
-                "Blender's remesh)"
+                f"{self.name}: these are points without faces; make a surface of them first (Blender: remesh)"
             )
         if self.faces.min() < 0 or self.faces.max() >= count:
+            worst = int(self.faces.max())
             raise CharacterError(
-                f"{self.name}: a face uses vertex {int(self.faces.max())} but there are only {count}; the file is "
-                "broken"
+                f"{self.name}: a face uses vertex {worst} but there are only {count}; the file is broken"
             )
         bad = int((~np.isfinite(self.vertices).all(axis=1)).sum())
         if bad:
@@ -212,6 +211,20 @@ class Handles:
         rows, places = np.nonzero(shares)
         kept[rows, indices[rows, places]] = shares[rows, places]
         return Handles(self.positions, kept, self.features, self.roles, self.rigid)
+
+
+def check_weighed(character: Character, handles: Handles) -> None:
+    """Raise CharacterError unless handles weigh as many vertices as a character has."""
+    weighed, have = len(handles.weights), len(character.vertices)
+    if weighed != have:
+        raise CharacterError(f"the handles weigh {weighed} vertices but {character.name} has {have}")
+
+
+def written_rig(character: Character) -> Rig:
+    """The rig of a character that is to be written with it; CharacterError if it has none."""
+    if character.rig is None:
+        raise CharacterError(f"{character.name}: there is no rig to write; make one with `bunraku.with_skeleton`")
+    return character.rig
 
 
 FEW = 10_000

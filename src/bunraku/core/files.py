@@ -67,9 +67,7 @@ def check_input(path: Path) -> int:
     except FileNotFoundError:
         raise FormatError(path, "there is no such file; check the path") from None
     except (OSError, ValueError) as error:
-        raise FormatError(
-            path, f"the file cannot be opened ({_reason(error)}); check the path and its permissions"
-        ) from None
+        raise FormatError(path, f"it cannot be opened ({_reason(error)}); check the path and its permissions") from None
     if stat.S_ISDIR(status.st_mode):
         raise FormatError(path, "this is a folder; name a file inside it")
     if not stat.S_ISREG(status.st_mode):
@@ -77,10 +75,9 @@ def check_input(path: Path) -> int:
     if status.st_size == 0:
         raise FormatError(path, "the file is empty; export it again")
     if status.st_size > MAX_BYTES:
+        size = f"{status.st_size / 2**30:.1f} GiB"
         raise FormatError(
-            path,
-            f"the file has {status.st_size / 2**30:.1f} GiB but at most {MAX_BYTES >> 30} GiB are read; simplify the "
-            "mesh first",
+            path, f"the file has {size} but at most {MAX_BYTES >> 30} GiB are read; simplify the mesh first"
         )
     return status.st_size
 
@@ -88,10 +85,9 @@ def check_input(path: Path) -> int:
 def check_text(path: Path, data: bytes) -> None:
     """Raise FormatError for a text mesh of more than `MAX_TEXT_BYTES`."""
     if len(data) > MAX_TEXT_BYTES:
+        most = f"at most {MAX_TEXT_BYTES >> 20}"
         raise FormatError(
-            path,
-            f"{len(data) >> 20} MiB of text are too many, at most {MAX_TEXT_BYTES >> 20} are read; save it as GLB or "
-            "binary PLY",
+            path, f"{len(data) >> 20} MiB of text are too many, {most} are read; save it as GLB or binary PLY"
         )
 
 
@@ -114,13 +110,7 @@ def path_inside(folder: Path, uri: str) -> Path | None:
     paths, `..`, and links that lead out of the folder.
     """
     name = unquote(uri).replace("\\", "/")
-    if (
-        not name
-        or name.startswith("/")
-        or "\0" in name
-        or re.match(r"[A-Za-z][A-Za-z0-9+.\-]*:", name)
-        or ".." in name.split("/")
-    ):
+    if not name or "\0" in name or ".." in name.split("/") or re.match(r"/|[A-Za-z][A-Za-z0-9+.\-]*:", name):
         return None
     try:
         target = (folder / name).resolve()
@@ -147,9 +137,7 @@ def check_output_folder(path: Path) -> None:
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
-        raise FormatError(
-            path, f"the folder {folder} cannot be created ({_reason(error)}); choose another folder"
-        ) from None
+        raise FormatError(path, f"{folder} cannot be created ({_reason(error)}); choose another folder") from None
 
 
 @contextmanager
@@ -158,9 +146,8 @@ def writing(path: Path, what: str = "file") -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise FormatError(
-            path, f"the {what} cannot be written ({_reason(error)}); choose another folder or free some space"
-        ) from None
+        problem = f"the {what} cannot be written ({_reason(error)})"
+        raise FormatError(path, f"{problem}; choose another folder or free some space") from None
 
 
 def share_file(path: Path, most: int = 0o666) -> None:
@@ -252,10 +239,6 @@ def weights_file(name: str) -> Path:
     those that the environment variable BUNRAKU_WEIGHTS names, separated as in PATH; an empty entry is the package's own
     folder.
     """
-    named = os.environ.get("BUNRAKU_WEIGHTS")
-    folders = (
-        [Path(folder) if folder else PACKAGE_WEIGHTS for folder in named.split(os.pathsep)]
-        if named
-        else [PACKAGE_WEIGHTS]
-    )
+    named = os.environ.get("BUNRAKU_WEIGHTS", "")
+    folders = [Path(folder) if folder else PACKAGE_WEIGHTS for folder in named.split(os.pathsep)]
     return next((path for folder in folders if (path := folder / name).is_file()), folders[0] / name)

@@ -45,24 +45,15 @@ class GroundPath(Constraint):
 
     def __post_init__(self) -> None:
         points = np.asarray(self.points, float)
-        if (
-            points.ndim != 2
-            or points.shape[1:] != (2,)
-            or not 2 <= len(points) <= MOST
-            or not np.isfinite(points).all()
-        ):
+        shaped = points.ndim == 2 and points.shape[1:] == (2,) and 2 <= len(points) <= MOST
+        if not shaped or not np.isfinite(points).all():
             raise OptionError(f"a path has 2 to {MOST} points, each with x and z in metres, such as 0,0 1,2 3,2")
         length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
         if not 1e-6 < length <= LONGEST:
             raise OptionError(f"a path is longer than nothing and at most {LONGEST:g} m, not {length:g} m")
         if self.times is not None:
             times = np.asarray(self.times, float)
-            if (
-                len(times) != len(points)
-                or not np.isfinite(times).all()
-                or times[0] != 0
-                or (np.diff(times) <= 0).any()
-            ):
+            if len(times) != len(points) or times[0] != 0 or not (np.diff([*times, np.inf]) > 0).all():
                 raise OptionError("the times of a path rise from 0, one for each of its points")
 
     def moved(self, scale: float) -> GroundPath:
@@ -79,9 +70,8 @@ class GroundPath(Constraint):
         keep = np.concatenate([[True], steps > 1e-9])
         if self.times is not None:
             if self.times[-1] > seconds + 1 / fps:
-                raise OptionError(
-                    f"the path ends at {self.times[-1]:g} s, after the end of the clip, {frames / fps:g} s"
-                )
+                end = f"{self.times[-1]:g} s"
+                raise OptionError(f"the path ends at {end}, after the end of the clip, {frames / fps:g} s")
             knots = np.asarray(self.times)
             now = np.minimum(np.arange(frames) / fps, knots[-1])
             return MonotoneCurve(knots, points)(now)
@@ -164,17 +154,10 @@ def repeated(motion: HandleMotion, before: int, after: int) -> HandleMotion:
         turns[index], positions[index] = step @ turns[index - 1], step @ positions[index - 1] + displacement
     for index in range(-1, min(int(rounds.min()), 0) - 1, -1):
         turns[index], positions[index] = step.T @ turns[index + 1], step.T @ (positions[index + 1] - displacement)
-    turned, moves = (
-        np.stack([turns[index] for index in rounds.tolist()]),
-        np.stack([positions[index] for index in rounds.tolist()]),
-    )
-    return replace(
-        motion,
-        translations=motion.translations[frames],
-        rotations=motion.rotations[frames],
-        root_translation=np.einsum("nij,nj->ni", turned, motion.root_translation[frames]) + moves,
-        root_rotation=turned @ motion.root_rotation[frames],
-    )
+    turned, moves = (np.stack([each[index] for index in rounds.tolist()]) for each in (turns, positions))
+    once = motion.take(frames)
+    path = np.einsum("nij,nj->ni", turned, once.root_translation) + moves
+    return replace(once, root_translation=path, root_rotation=turned @ once.root_rotation)
 
 
 def closed_loop(motion: HandleMotion, like: HandleMotion, fade: int = 8) -> HandleMotion:
@@ -196,23 +179,19 @@ def closed_loop(motion: HandleMotion, like: HandleMotion, fade: int = 8) -> Hand
     path[:, 1] += share * off[1]
 
     def turned(rotations: np.ndarray, there: np.ndarray) -> np.ndarray:
-        off = axis_angle_from_matrix(there.astype(float) @ np.swapaxes(rotations[-1], -1, -2).astype(float))
-        out = (matrix_from_axis_angle(share.reshape(-1, *[1] * off.ndim) * off) @ rotations.astype(float)).astype(
-            np.float32
-        )
+        out = _faded(rotations, there, rotations[-1], share).astype(np.float32)
         out[-1] = there
         return out
 
-    translations = motion.translations + (
-        share[:, None, None] * (motion.translations[0] - motion.translations[-1])
-    ).astype(np.float32)
+    off = motion.translations[0] - motion.translations[-1]
+    translations = motion.translations + (share[:, None, None] * off).astype(np.float32)
     translations[-1] = motion.translations[0]
+    rotations, root_rotation = (
+        turned(motion.rotations, motion.rotations[0]),
+        turned(motion.root_rotation, goal_rotation),
+    )
     return replace(
-        motion,
-        translations=translations,
-        rotations=turned(motion.rotations, motion.rotations[0]),
-        root_translation=path,
-        root_rotation=turned(motion.root_rotation, goal_rotation),
+        motion, translations=translations, rotations=rotations, root_translation=path, root_rotation=root_rotation
     )
 
 
@@ -270,16 +249,12 @@ def put_back(
                 off = there - array[edge]
                 if name.startswith("root"):
                     wide = _fade(after - first) if len(edges) == 2 else np.ones(after - first)
-                    array[edge + displacement * np.arange(1, after - first + 1)] += (
-                        wide[:, None] * off * [1, 0, 1]
-                    ).astype(np.float32)
+                    all_along = edge + displacement * np.arange(1, after - first + 1)
+                    array[all_along] += (wide[:, None] * off * [1, 0, 1]).astype(np.float32)
                     off = off * [0, 1, 0]
                 array[frames] += (share.reshape(-1, *[1] * there.ndim) * off).astype(np.float32)
             else:
-                off = axis_angle_from_matrix(there @ np.swapaxes(array[edge], -1, -2).astype(float))
-                array[frames] = matrix_from_axis_angle(share.reshape(-1, *[1] * off.ndim) * off) @ array[frames].astype(
-                    float
-                )
+                array[frames] = _faded(array[frames], there, array[edge], share)
     kept = np.ones(count, bool)
     kept[first:after] = False
     for name, array in arrays.items():
@@ -303,6 +278,12 @@ def put_back_runs(
             array[first:after] = getattr(piece, name)[first:after]
         unbroken = replace(made.with_arrays(arrays), fps=original.fps)
     return unbroken
+
+
+def _faded(rotations: np.ndarray, there: np.ndarray, here: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Rotations of frames, each turned by a share (N,) of what takes some (..., 3, 3) from `here` to `there`."""
+    off = axis_angle_from_matrix(there.astype(float) @ np.swapaxes(here, -1, -2).astype(float))
+    return matrix_from_axis_angle(share.reshape(-1, *[1] * off.ndim) * off) @ rotations.astype(float)
 
 
 def _fade(length: int) -> np.ndarray:

@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from bunraku.files.clips import (
-        bones_of, clip_names, clips_rise, load_animation, load_clip, load_clip_animation, merge,
+        bones_of, clips_rise, load_animation, load_clip, load_clip_animation, merge,
     )  # fmt: skip
     from bunraku.files.fbx.clips import load_fbx_motion
     from bunraku.files.fbx.read import fbx_facts
-    from bunraku.files.gltf.carry import free_name
+    from bunraku.files.gltf.carry import clip_names, free_name
     from bunraku.files.gltf.clips import write_stretches
+    from bunraku.files.gltf.colors import linear_from_srgb, srgb_from_linear
     from bunraku.files.gltf.document import Document
     from bunraku.files.gltf.open import open_document
     from bunraku.files.gltf.read import Source, read_gltf, rotated
@@ -46,11 +47,12 @@ if TYPE_CHECKING:
     from bunraku.files.samples import sample_bytes, sample_character, sample_file, sample_files, sample_names
 
 _NAMES = {
-    "clips": "bones_of clip_names clips_rise load_animation load_clip load_clip_animation merge",
+    "clips": "bones_of clips_rise load_animation load_clip load_clip_animation merge",
     "fbx.clips": "load_fbx_motion",
     "fbx.read": "fbx_facts",
-    "gltf.carry": "free_name",
+    "gltf.carry": "clip_names free_name",
     "gltf.clips": "write_stretches",
+    "gltf.colors": "linear_from_srgb srgb_from_linear",
     "gltf.document": "Document",
     "gltf.open": "open_document",
     "gltf.read": "Source read_gltf rotated",

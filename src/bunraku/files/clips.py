@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bunraku.core.animation import Animation, RigAnimation
+from bunraku.core.animation import Animation, RigAnimation, behind_still
 from bunraku.core.animation import end_to_start as joined
 from bunraku.core.body.reference import reference_body
 from bunraku.core.character import Character, Handles
@@ -17,9 +17,8 @@ from bunraku.core.geometry.rotations import nearest_rotation
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import posed_points
 from bunraku.errors import FormatError, MotionError, OptionError
-from bunraku.files.gltf.carry import clip_number
+from bunraku.files.gltf.carry import clip_names, clip_number
 from bunraku.files.gltf.clips import SAME_BONES, merge_documents
-from bunraku.files.gltf.document import Document
 from bunraku.files.gltf.nodes import MAX_SECONDS, clip_curves, node_worlds
 from bunraku.files.gltf.read import Source
 from bunraku.files.gltf.write import clip_handles, packed_motion
@@ -54,8 +53,7 @@ class Clip:
         if self.positions is None or self.is_of(reference_body().handles):
             return self.motion
         raise MotionError(
-            f"{self.path}: this motion was made for a character and does not tell what the reference body does; name "
-            "that character"
+            f"{self.path}: this motion was made for another character than the reference body; name that one"
         )
 
     def on(self, character: Character, handles: Handles) -> Animation | None:
@@ -115,38 +113,22 @@ def load_animation(path: str | Path, clip: int | str = 0, fps: float = 30.0) -> 
         raise FormatError(path, f"its clip lasts {end:.0f} s but at most {MAX_SECONDS:.0f} s are played; cut it")
     moments = np.arange(int(np.floor(end * fps + 1e-3)) + 1) / fps
     if len(moments) * len(character.rig.names) > MAX_TRANSFORMS:
+        joints = len(character.rig.names)
         raise FormatError(
-            path,
-            f"its clip of {end:.0f} s moves {len(character.rig.names)} joints, too many to play; ask for fewer frames "
-            "a second",
+            path, f"its clip of {end:.0f} s moves {joints} joints, too many to play; lower the frame rate"
         )
     world = node_worlds(document, source.tree, curves, moments, source.skins.nodes)
     return _animation(character, world, fps)
-
-
-def clip_names(document: Document) -> list[str]:
-    """Names of the clips of a document, numbered where it gives none."""
-    return [str(clip.get("name") or f"animation {number}") for number, clip in enumerate(document.items("animations"))]
 
 
 def _animation(character: Character, world: np.ndarray, fps: float) -> Animation:
     rig = character.rig
     assert rig is not None
     change = world @ np.linalg.pinv(rig.transforms)
-    frames, joints = change.shape[:2]
     positions = np.concatenate([np.zeros((1, 3)), rig.positions])
-    rotations = np.tile(np.eye(3), (frames, joints + 1, 1, 1))
-    rotations[:, 1:] = change[..., :3, :3]
-    translations = np.zeros((frames, joints + 1, 3))
-    translations[:, 1:] = (
-        change[..., :3, 3] - rig.positions + np.einsum("njab,jb->nja", change[..., :3, :3], rig.positions)
-    )
     weights = np.concatenate([np.zeros((len(character.vertices), 1), np.float32), rig.dense_weights()], axis=1)
     weights[:, 0] = 1 - weights[:, 1:].sum(axis=1)
-    still = np.broadcast_to(np.eye(3), (frames, 3, 3))
-    return Animation(
-        character, Handles(positions, weights), HandleMotion(translations, rotations, np.zeros((frames, 3)), still, fps)
-    )
+    return Animation(character, Handles(positions, weights), behind_still(change[..., :3, :], rig.positions, fps))
 
 
 MOST_CLIPS, MOMENTS, POINTS = 8, 6, 1000

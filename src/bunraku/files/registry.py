@@ -141,9 +141,8 @@ def resolve_unit(height: float, suffix: str, unit: str = "auto") -> SettledUnit:
     if likely == "m":
         return SettledUnit("m", likely)
     if not likely:
-        return SettledUnit(
-            "m", likely, f"{height:.2g} m tall: probably shrunk 100 or 1,000 times on its way; left as it is"
-        )
+        note = f"{height:.2g} m tall: probably shrunk 100 or 1,000 times on its way; left as it is"
+        return SettledUnit("m", likely, note)
     size = f"{height:,.4g} {'' if bare else 'm '}tall: probably {UNIT_NAMES[likely]}"
     if bare:
         return SettledUnit(likely, likely, f"{size}; taken as {height * UNITS[likely]:.3g} m")
@@ -192,10 +191,8 @@ def _suffix_of(path: Path, kind: str, start: bytes = b"") -> str:
     if not by_magic and start.lstrip()[:1] == b"{" and suffix in (".glb", ".vrm"):
         suffix = ".gltf"
     if not by_magic and start and suffix in _MARKED:
-        raise FormatError(
-            path,
-            f"its contents are not those of a {suffix} file; it is broken or has the wrong suffix, export it again",
-        )
+        problem = f"its contents are not those of a {suffix} file; it is broken or has the wrong suffix"
+        raise FormatError(path, f"{problem}, export it again")
     by_magic = by_magic or suffix
     if by_magic in functions:
         return by_magic
@@ -249,17 +246,15 @@ def _read(path: str | Path, kind: str, **options: object) -> Any:
             suffix = _suffix_of(path, kind, file.read(64))
             most = _LARGEST.get(suffix, MAX_BYTES)
             if size > most:
+                size = f"{size >> 20} MiB"
                 raise FormatError(
-                    path,
-                    f"{size >> 20} MiB are too many for a {suffix} file, at most {most >> 20} are read; cut it into "
-                    "parts",
+                    path, f"{size} are too many for {suffix}, at most {most >> 20} are read; cut it into parts"
                 )
             file.seek(0)
             data = file.read(size)  # a larger number would be set aside in memory first
     except OSError as error:
-        raise FormatError(
-            path, f"the file cannot be read ({(error.strerror or str(error)).lower()}); check its permissions"
-        ) from None
+        reason = (error.strerror or str(error)).lower()
+        raise FormatError(path, f"the file cannot be read ({reason}); check its permissions") from None
     except MemoryError:
         raise FormatError(path, "it does not fit into memory; simplify the mesh first") from None
     function = _resolve(READERS[kind][suffix])
@@ -277,9 +272,8 @@ def _read(path: str | Path, kind: str, **options: object) -> Any:
         raise FormatError(path, "it does not fit into memory; simplify the mesh first") from None
     except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError) as error:
         # The readers check what they use; this is the net below them for damage that no check expects.
-        raise FormatError(
-            path, f"the file is broken ({type(error).__name__}: {str(error)[:80]}); export it again"
-        ) from error
+        reason = f"{type(error).__name__}: {str(error)[:80]}"
+        raise FormatError(path, f"the file is broken ({reason}); export it again") from error
 
 
 @checked
@@ -409,11 +403,7 @@ def check_writer(path: str | Path, *, points: bool = False, mmd: bool = True) ->
     if suffix in _USD:
         _resolve("bunraku.files.usd:check_available")()
     if suffix == ".vmd" and not mmd:
-        raise FormatError(
-            path,
-            "a VMD moves the bones of an MMD model, which this character is not; transfer onto a .pmx or .pmd, or "
-            "write a .bvh or .vrma",
-        )
+        raise FormatError(path, "a VMD moves the bones of an MMD model; transfer onto a .pmx or .pmd, or write a .vrma")
 
 
 @checked
@@ -452,9 +442,8 @@ def _write(kind: str, path: str | Path, options: dict[str, object], *things: Any
     parameters = {name for name, parameter in _parameters(function).items() if parameter.kind is parameter.KEYWORD_ONLY}
     for option in options:
         if option not in parameters:
-            raise OptionError(
-                f"{path.suffix} files have no option '{option}'; they have: {', '.join(sorted(parameters)) or 'none'}"
-            )
+            have = ", ".join(sorted(parameters)) or "none"
+            raise OptionError(f"{path.suffix} files have no option '{option}'; they have: {have}")
     check_output_folder(path)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         out: Path = function(*things, path, **options)

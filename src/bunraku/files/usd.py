@@ -22,16 +22,15 @@ from bunraku.core.files import check_output_folder, share_file, writing
 from bunraku.core.geometry.axes import UNITS, FileFrame
 from bunraku.core.geometry.rotations import continuous, quaternion_from_matrix
 from bunraku.core.motion import checked_fps
-from bunraku.errors import FormatError, MissingExtraError, OptionError
-from bunraku.files.gltf.carry import IMAGE_SUFFIXES, image_type
+from bunraku.errors import FormatError, MissingExtraError
+from bunraku.files.gltf.carry import IMAGE_SUFFIXES, free_name, image_type
 from bunraku.files.gltf.colors import linear_from_srgb
 from bunraku.files.gltf.document import Document
 from bunraku.files.gltf.read import Source
+from bunraku.files.gltf.write import joint_tracks
 
 if TYPE_CHECKING:
     from bunraku.core.animation import Animation, PointAnimation
-    from bunraku.core.character import Handles
-    from bunraku.core.motion import HandleMotion
 
 _WRAP = {33071: "clamp", 33648: "mirror", 10497: "repeat"}
 
@@ -89,10 +88,9 @@ class Look:
         opacity, color = surface.CreateInput("opacity", types.Float), surface.CreateInput("diffuseColor", types.Color3f)
         seen = entry.get("alphaMode") in ("MASK", "BLEND")
         if entry.get("alphaMode") == "MASK":
-            cutoff = entry.get("alphaCutoff", 0.5)
-            surface.CreateInput("opacityThreshold", types.Float).Set(
-                float(cutoff) if isinstance(cutoff, int | float) else 0.5
-            )
+            cutoff = entry.get("alphaCutoff")
+            threshold = float(cutoff) if isinstance(cutoff, int | float) else 0.5
+            surface.CreateInput("opacityThreshold", types.Float).Set(threshold)
         texture = self._texture(document, rough.get("baseColorTexture"), path, factor)
         if texture is None:
             color.Set(self.usd["Gf"].Vec3f(*factor[:3]))
@@ -146,19 +144,14 @@ class Look:
 def pieces(character: Character) -> list[Piece]:
     """The pieces of a character: those of its document where it has one, itself otherwise."""
     source = character.source
-    if (
-        not isinstance(source, Source)
-        or not len(source.index)
-        or int(source.index.max()) + 1 != len(character.vertices)
-    ):
+    if not isinstance(source, Source) or not source.fits(character):
         return [Piece("Mesh", np.arange(len(character.vertices)), character.faces)]
     out: list[Piece] = []
     document = source.document
     for part, index in source.placed():
-        title = (
-            document.item("nodes", part.node).get("name") or document.item("meshes", part.mesh).get("name") or "Mesh"
-        )
-        primitives = document.item("meshes", part.mesh)["primitives"]
+        mesh = document.item("meshes", part.mesh)
+        title = str(document.item("nodes", part.node).get("name") or mesh.get("name") or "Mesh")
+        primitives = mesh["primitives"]
         for group, vertices in part.split(index):
             for member, faces in zip(group.primitives, group.triangles, strict=True):
                 if not len(faces):
@@ -168,11 +161,8 @@ def pieces(character: Character) -> list[Piece]:
                 uv = _coordinates(document, primitives[member], len(vertices))
                 uvs = None if uv is None else np.ascontiguousarray(uv[used], np.float32)
                 number = material if type(material) is int else None
-                out.append(
-                    Piece(
-                        f"{prim_name(str(title), 'Mesh')}_{len(out)}", vertices[used], local.reshape(-1, 3), uvs, number
-                    )
-                )
+                name = f"{prim_name(title, 'Mesh')}_{len(out)}"
+                out.append(Piece(name, vertices[used], local.reshape(-1, 3), uvs, number))
     return out
 
 
@@ -190,18 +180,16 @@ def _coordinates(document: Document, primitive: dict[str, object], count: int) -
     return np.stack([uv[:, 0], 1 - uv[:, 1]], axis=1)
 
 
-def add_mesh(
-    usd: dict[str, ModuleType], stage: Any, path: str, piece: Piece, character: Character, rest: np.ndarray, look: Look
-) -> Any:
-    """Add a piece of a character as a mesh at a path; it and its rest positions in the file's frame, (V, 3)."""
+def add_mesh(look: Look, piece: Piece, character: Character, frame: FileFrame) -> Any:
+    """Add a piece of a character as a mesh below the root."""
+    usd, rest = look.usd, np.ascontiguousarray(frame.points(character.vertices)[piece.index])
     array, types = usd["Vt"].Vec3fArray.FromNumpy, usd["Sdf"].ValueTypeNames
-    mesh = usd["UsdGeom"].Mesh.Define(stage, path)
+    mesh = usd["UsdGeom"].Mesh.Define(look.stage, f"{look.root}/{piece.name}")
     mesh.CreateSubdivisionSchemeAttr("none")
     mesh.CreatePointsAttr(array(rest))
-    mesh.CreateFaceVertexCountsAttr(usd["Vt"].IntArray.FromNumpy(np.full(len(piece.faces), 3, np.int32)))
-    mesh.CreateFaceVertexIndicesAttr(
-        usd["Vt"].IntArray.FromNumpy(np.ascontiguousarray(piece.faces.reshape(-1), np.int32))
-    )
+    integers = usd["Vt"].IntArray.FromNumpy
+    mesh.CreateFaceVertexCountsAttr(integers(np.full(len(piece.faces), 3, np.int32)))
+    mesh.CreateFaceVertexIndicesAttr(integers(np.ascontiguousarray(piece.faces.reshape(-1), np.int32)))
     mesh.CreateExtentAttr(array(np.stack([rest.min(axis=0), rest.max(axis=0)])))
     mesh.CreateDoubleSidedAttr(True)
     primvars = usd["UsdGeom"].PrimvarsAPI(mesh)
@@ -240,15 +228,11 @@ def write_usd(
     frame = FileFrame.of(up, unit)
     moved = animation.at(checked_fps(fps, animation.fps))
     skin = _of_bones(moved, frame) if isinstance(moved, RigAnimation) else _of_handles(moved, frame)
-    return _write_skinned(path, moved.character, skin, moved.fps, up, unit)
-
-
-def _write_skinned(path: Path, character: Character, skin: _Skin, fps: float, up: str, unit: str) -> Path:
-    usd, frame = _library(), FileFrame.of(up, unit)
-    stage, name = _stage(usd, fps, len(skin.translations), up, unit), prim_name(character.name)
+    usd = _library()
+    stage, name = _stage(usd, moved.fps, len(skin.translations), up, unit), prim_name(moved.character.name)
     root = usd["UsdSkel"].Root.Define(stage, f"/{name}")
     look = Look(usd, stage, f"/{name}", _texture_folder(path))
-    _add_skinned(usd, stage, f"/{name}", character, skin, frame, look)
+    _add_skinned(look, moved.character, skin, frame)
     stage.SetDefaultPrim(root.GetPrim())
     return _export(usd, stage, path, look)
 
@@ -261,22 +245,10 @@ def write_points(
     moved = animation.at(checked_fps(fps, animation.motion.fps))
     stage, name = _stage(usd, moved.motion.fps, len(moved.motion), up, unit), prim_name(animation.character.name)
     root = usd["UsdGeom"].Xform.Define(stage, f"/{name}")
-    look, rest, array = (
-        Look(usd, stage, f"/{name}", _texture_folder(path)),
-        frame.points(animation.character.vertices),
-        usd["Vt"].Vec3fArray.FromNumpy,
-    )
+    look, array = Look(usd, stage, f"/{name}", _texture_folder(path)), usd["Vt"].Vec3fArray.FromNumpy
     meshes = []
     for piece in pieces(animation.character):
-        mesh = add_mesh(
-            usd,
-            stage,
-            f"/{name}/{piece.name}",
-            piece,
-            animation.character,
-            np.ascontiguousarray(rest[piece.index]),
-            look,
-        )
+        mesh = add_mesh(look, piece, animation.character, frame)
         meshes.append((piece, mesh.GetPointsAttr(), mesh.GetExtentAttr()))
     for start in range(0, len(moved.motion), CHUNK):
         for number, posed in enumerate(moved.vertices(slice(start, start + CHUNK)), start):
@@ -295,11 +267,9 @@ def check_available() -> None:
 
 
 def _library() -> dict[str, ModuleType]:
+    names = ("Gf", "Sdf", "Usd", "UsdGeom", "UsdShade", "UsdSkel", "UsdUtils", "Vt")
     try:
-        return {
-            name: import_module(f"pxr.{name}")
-            for name in ("Gf", "Sdf", "Usd", "UsdGeom", "UsdShade", "UsdSkel", "UsdUtils", "Vt")
-        }
+        return {name: import_module(f"pxr.{name}") for name in names}
     except ImportError as error:
         raise MissingExtraError("usd-core", "usd", "writing USD") from error
 
@@ -336,10 +306,11 @@ def _of_handles(animation: Animation, frame: FileFrame) -> _Skin:
     handles = animation.handles
     names = [prim_name(name) for name in handle_names(handles.played)]
     h = frame.points(handles.positions.astype(np.float64))
-    local = h - h[0]
-    local[0] = h[0]
     joints = [names[0], *(f"{names[0]}/{name}" for name in names[1:])]
-    return _Skin(joints, h, local, *_channels(handles, animation.motion, frame), *_influences(handles.weights))
+    moves, turns = joint_tracks(handles.positions, animation.motion)
+    turns[..., :3] = turns[..., :3] @ frame.turn.T
+    tracks = (np.ascontiguousarray(track, np.float32) for track in (frame.points(moves), turns))
+    return _Skin(joints, h, np.concatenate([h[:1], h[1:] - h[0]]), *tracks, *_influences(handles.weights))
 
 
 def _of_bones(animation: RigAnimation, frame: FileFrame) -> _Skin:
@@ -351,12 +322,7 @@ def _of_bones(animation: RigAnimation, frame: FileFrame) -> _Skin:
     for bone in order:
         parent = int(rig.parents[bone])
         above = f"{joints[place[parent]]}/" if parent >= 0 else ""
-        name = label = prim_name(rig.names[bone])
-        number = 1
-        while above + name in joints:
-            number += 1
-            name = f"{label}_{number}"
-        joints.append(above + name)
+        joints.append(free_name(above + prim_name(rig.names[bone]), joints, "_"))
         if parent >= 0:
             local[bone] -= rig.positions[parent]
     translations = (local + animation.translations)[:, order]
@@ -371,19 +337,17 @@ def _of_bones(animation: RigAnimation, frame: FileFrame) -> _Skin:
     )
 
 
-def _add_skinned(
-    usd: dict[str, ModuleType], stage: Any, root: str, character: Character, skin: _Skin, frame: FileFrame, look: Look
-) -> None:
-    Gf, UsdSkel, Vt = usd["Gf"], usd["UsdSkel"], usd["Vt"]
+def _add_skinned(look: Look, character: Character, skin: _Skin, frame: FileFrame) -> None:
+    Gf, UsdSkel, Vt = look.usd["Gf"], look.usd["UsdSkel"], look.usd["Vt"]
     joints = skin.joints
-    skeleton = UsdSkel.Skeleton.Define(stage, f"{root}/Skeleton")
+    skeleton = UsdSkel.Skeleton.Define(look.stage, f"{look.root}/Skeleton")
     skeleton.CreateJointsAttr(joints)
     for make, positions in (
         (skeleton.CreateBindTransformsAttr, skin.bind),
         (skeleton.CreateRestTransformsAttr, skin.local),
     ):
         make(Vt.Matrix4dArray([Gf.Matrix4d(1).SetTranslate(Gf.Vec3d(*matrix)) for matrix in positions.tolist()]))
-    clip = UsdSkel.Animation.Define(stage, f"{root}/Skeleton/Animation")
+    clip = UsdSkel.Animation.Define(look.stage, f"{look.root}/Skeleton/Animation")
     clip.CreateJointsAttr(joints)
     UsdSkel.BindingAPI.Apply(skeleton.GetPrim()).CreateAnimationSourceRel().SetTargets([clip.GetPath()])
     clip.CreateScalesAttr(Vt.Vec3hArray([Gf.Vec3h(1, 1, 1)] * len(joints)))
@@ -392,33 +356,14 @@ def _add_skinned(
         moved.Set(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(skin.translations[number])), number)
         turned.Set(Vt.QuatfArray.FromNumpy(np.ascontiguousarray(skin.rotations[number])), number)
 
-    rest = frame.points(character.vertices)
-    indices, weights = skin.indices, skin.weights
+    width = skin.indices.shape[1]
     for piece in pieces(character):
-        mesh = add_mesh(
-            usd, stage, f"{root}/{piece.name}", piece, character, np.ascontiguousarray(rest[piece.index]), look
-        )
-        binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
+        binding = UsdSkel.BindingAPI.Apply(add_mesh(look, piece, character, frame).GetPrim())
         binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
-        binding.CreateJointIndicesPrimvar(False, indices.shape[1]).Set(
-            Vt.IntArray.FromNumpy(indices[piece.index].reshape(-1))
-        )
-        binding.CreateJointWeightsPrimvar(False, indices.shape[1]).Set(
-            Vt.FloatArray.FromNumpy(weights[piece.index].reshape(-1))
-        )
+        indices, weights = skin.indices[piece.index].reshape(-1), skin.weights[piece.index].reshape(-1)
+        binding.CreateJointIndicesPrimvar(False, width).Set(Vt.IntArray.FromNumpy(indices))
+        binding.CreateJointWeightsPrimvar(False, width).Set(Vt.FloatArray.FromNumpy(weights))
         binding.CreateGeomBindTransformAttr(Gf.Matrix4d(1))
-
-
-def _channels(handles: Handles, motion: HandleMotion, frame: FileFrame) -> tuple[np.ndarray, np.ndarray]:
-    """Translations (N, K, 3) and xyzw rotations (N, K, 4) of the joints of Eq. 3 in the file's frame, float32."""
-    h = handles.positions.astype(np.float64)
-    translations = h + motion.translations
-    translations[:, 1:] -= h[0]
-    translations[:, 0] = h[0] + motion.root_translation
-    matrices = motion.rotations.astype(np.float64)
-    matrices[:, 0] = motion.root_rotation
-    rotations = continuous(quaternion_from_matrix(frame.turn @ matrices @ frame.turn.T))
-    return np.ascontiguousarray(frame.points(translations), np.float32), np.ascontiguousarray(rotations, np.float32)
 
 
 def _influences(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -455,16 +400,12 @@ def _export(usd: dict[str, ModuleType], stage: Any, path: Path, look: Look) -> P
     check_output_folder(path)
     _check_textures(path, look)
     suffix = path.suffix.lower()
-    if suffix not in (".usd", ".usda", ".usdc", ".usdz"):
-        raise OptionError(f"USD is written to .usd, .usda, .usdc or .usdz, not {suffix}")
     with (
         writing(path),
         tempfile.TemporaryDirectory(prefix=f".{path.stem[:100]}.", suffix=".tmp", dir=path.parent) as folder,
     ):
-        layer, images = (
-            Path(folder, f"{prim_name(path.stem)}{'.usda' if suffix == '.usda' else '.usdc'}"),
-            Path(folder, look.folder),
-        )
+        layer = Path(folder, prim_name(path.stem) + (".usda" if suffix == ".usda" else ".usdc"))
+        images = Path(folder, look.folder)
         written = _done(stage.GetRootLayer().Export, str(layer))
         if look.textures:
             images.mkdir()

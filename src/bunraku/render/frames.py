@@ -19,7 +19,7 @@ from bunraku.core.animation import Animation, PointAnimation
 from bunraku.core.character import Character, Handles
 from bunraku.core.skinning import skin_basis
 from bunraku.errors import OptionError
-from bunraku.files import with_still
+from bunraku.files import srgb_from_linear, with_still
 from bunraku.render.stage import (
     YAW,
     Backdrop,
@@ -34,7 +34,6 @@ from bunraku.render.stage import (
     cast_shadows,
     compress_highlights,
     set_stage,
-    srgb_from_linear,
     view_axes,
 )
 
@@ -137,9 +136,8 @@ def draw_parallel(opened: Callable[[], SoftwareRenderer], frames: Iterable[Frame
     encoded meanwhile. `opened` gives a new renderer; all draw the same.
     """
     first = opened()
-    threads = min(
-        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, MOST_THREADS
-    )
+    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    threads = min(processors, MOST_THREADS)
     if threads == 1:
         for frame in frames:
             yield first.draw(*frame)
@@ -174,8 +172,7 @@ def draw_parallel(opened: Callable[[], SoftwareRenderer], frames: Iterable[Frame
 
 
 # Spread over the colours that can be told apart on a grey stage: any two are at least 30 apart in CIELAB, and parents
-# and
-# children, left and right, and handles with one parent at least 60.
+# and children, left and right, and handles with one parent at least 60.
 _HEX = """
 fa142c 14eeca 1444e2 696914 75b1fa 8de214 14ee5d b11499 2ca599 14d6fa
 5d9914 fa99a5 fa6914 146938 e25dfa fa1499 7544a5 a52c2c fa3869 14bd69

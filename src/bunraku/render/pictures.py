@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bunraku.core.files import check_output_folder, share_file
+from bunraku.core.files import check_output_folder, share_file, writing
 from bunraku.errors import FormatError, MissingExtraError, OptionError
 
 MOVING = (".mp4", ".webp", ".gif")
@@ -38,22 +38,15 @@ def check_target(path: str | Path, suffixes: tuple[str, ...] = SUFFIXES) -> Path
 @contextmanager
 def _replacing(path: Path) -> Iterator[Path]:
     """A temporary path beside the target, renamed to it at the end and removed when anything goes wrong."""
-    try:
+    with writing(path):
         handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
         os.close(handle)
-    except OSError as error:
-        raise FormatError(path, f"cannot be written ({error.strerror or error}); choose another folder") from error
-    temporary = Path(name)
-    try:
-        yield temporary
-        share_file(temporary)
-        os.replace(temporary, path)
-    except OSError as error:
-        raise FormatError(
-            path, f"cannot be written ({error.strerror or error}); free some space or choose another folder"
-        ) from error
-    finally:
-        temporary.unlink(missing_ok=True)
+        try:
+            yield Path(name)
+            share_file(Path(name))
+            os.replace(name, path)
+        finally:
+            Path(name).unlink(missing_ok=True)
 
 
 def write_moving(images: Iterable[np.ndarray], path: str | Path, fps: float) -> Path:
@@ -128,9 +121,8 @@ def write_png(image: np.ndarray, path: str | Path, limit: int | None = None) -> 
         picture.save(temporary, optimize=True)
         small, colors = picture, 256
         while limit is not None and temporary.stat().st_size > limit:
-            small.quantize(colors, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(
-                temporary, optimize=True
-            )
+            few = small.quantize(colors, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+            few.save(temporary, optimize=True)
             if colors > 96:
                 colors //= 2
             elif min(small.size) > 64:
@@ -179,20 +171,14 @@ def assemble(
     font = ImageFont.load_default(text)
     if title:
         large = ImageFont.load_default(text + 3)
-        draw.text(
-            (sheet.width // 2, head // 2 + 2),
-            _fitted(title, draw, large, sheet.width - 4 * gap),
-            ink,
-            large,
-            anchor="mm",
-        )
+        line = _fitted(title, draw, large, sheet.width - 4 * gap)
+        draw.text((sheet.width // 2, head // 2 + 2), line, ink, large, anchor="mm")
     for i, image in enumerate(images):
         x, y = gap + i % columns * (width + gap), head + gap + i // columns * (height + strip + gap)
         sheet.paste(Image.fromarray(np.ascontiguousarray(image)), (x, y))
         if labels is not None:
-            draw.text(
-                (x + width // 2, y + height + strip // 2), _fitted(labels[i], draw, font, width), ink, font, anchor="mm"
-            )
+            line = _fitted(labels[i], draw, font, width)
+            draw.text((x + width // 2, y + height + strip // 2), line, ink, font, anchor="mm")
     return np.asarray(sheet)
 
 

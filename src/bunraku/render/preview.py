@@ -63,22 +63,14 @@ def save_preview(
     progress = progress or (lambda done, total: None)
     if target.suffix.lower() == ".png":
         if not 1 <= frames <= 400 or (columns is not None and columns < 1):
-            raise OptionError(
-                f"a contact sheet has 1 to 400 pictures in at least one column, not {frames} in {columns}"
-            )
+            raise OptionError(f"a sheet has 1 to 400 pictures in at least one column, not {frames} in {columns}")
         last = (len(animation.motion) - 1) / animation.motion.fps
         times = np.unique(np.round(np.linspace(0, last, frames) * animation.motion.fps) / animation.motion.fps)
         pictures = render_animation(animation, size=size or CELL, times=times, background=background, color=color)
         images = list(_counted(pictures, len(times), progress))
-        paper = tuple(int(channel) for channel in np.round(255 * parse_background(background)[0]))
-        sheet = assemble(
-            images,
-            [f"{time:.2f} s" for time in times],
-            columns=columns,
-            title=title,
-            gap=3,
-            paper=(paper[0], paper[1], paper[2]),
-        )
+        red, green, blue = np.round(255 * parse_background(background)[0]).astype(int).tolist()
+        labels = [f"{time:.2f} s" for time in times]
+        sheet = assemble(images, labels, columns=columns, title=title, gap=3, paper=(red, green, blue))
         return write_png(sheet, target)
     rate = animation.motion.fps if fps is None else fps
     if not 1 <= rate <= 240:

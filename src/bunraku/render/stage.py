@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from bunraku.errors import OptionError
+from bunraku.files import linear_from_srgb
 from bunraku.render.reference import rays
 
 FIELD_OF_VIEW = np.deg2rad(26.0)
@@ -150,20 +151,6 @@ CREASE = np.deg2rad(42.0)
 CLAY = (206, 170, 142)
 
 
-def linear_from_srgb(values: np.ndarray) -> np.ndarray:
-    """Linear light of sRGB values, both 0..1."""
-    values = np.asarray(values, np.float32)
-    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4).astype(np.float32)
-
-
-def srgb_from_linear(values: np.ndarray) -> np.ndarray:
-    """sRGB values of linear light, both 0..1."""
-    values = np.asarray(values, np.float32)
-    return np.where(
-        values <= 0.0031308, values * 12.92, 1.055 * np.maximum(values, 0.0031308) ** (1 / 2.4) - 0.055
-    ).astype(np.float32)
-
-
 def compress_highlights(values: np.ndarray) -> np.ndarray:
     """Linear light with all above a half bent to stay below 1, so that white characters keep their shape."""
     values = np.asarray(values, np.float32)
@@ -213,9 +200,8 @@ def build_surface(vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray | 
         tint = np.asarray(CLAY, np.uint8)
 
     # Seams of texture coordinates hold copies of a vertex; normals run across them.
-    grid = np.round((vertices - vertices.min(axis=0)) / max(float(np.ptp(vertices, axis=0).max()), 1e-30) * 2e5).astype(
-        np.int64
-    )
+    size = max(float(np.ptp(vertices, axis=0).max()), 1e-30)
+    grid = np.round((vertices - vertices.min(axis=0)) / size * 2e5).astype(np.int64)
     _, welded = np.unique(grid @ np.array([1, 1 << 20, 1 << 40]), return_inverse=True)
     corners = welded[faces]
     normals = np.cross(vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]])
@@ -295,21 +281,18 @@ def parse_background(background: Background) -> tuple[np.ndarray, np.ndarray]:
     """Upper and lower sRGB colour, 0..1, of a named background, a colour such as "#dfe4e9" or (223, 228, 233).
     OptionError if it is none of these.
     """
-    pair = BACKGROUNDS.get(background) if isinstance(background, str) else None
     try:
-        if pair is None:
-            pair = (background, background) if isinstance(background, str) else None
-        if pair is None:
-            value = np.array([int(channel) for channel in background], float)
-            if value.shape != (3,) or value.min() < 0 or value.max() > 255:
+        if isinstance(background, str):
+            pair = BACKGROUNDS.get(background, (background, background))
+            if any(name[0] != "#" or len(name) != 7 for name in pair):
                 raise ValueError
-            return value / 255, value / 255
-        upper, lower = (
-            np.array([int(name[at : at + 2], 16) for at in (1, 3, 5)], float) / 255
-            for name in pair
-            if name[0] == "#" and len(name) == 7
-        )
-        return upper, lower
+            values = [[int(name[at : at + 2], 16) for at in (1, 3, 5)] for name in pair]
+        else:
+            values = [[int(channel) for channel in background]] * 2
+        upper, lower = np.array(values, float)
+        if upper.shape != (3,) or upper.min() < 0 or upper.max() > 255:
+            raise ValueError
+        return upper / 255, lower / 255
     except (ValueError, TypeError, IndexError):
         names = ", ".join(BACKGROUNDS)
         raise OptionError(

@@ -56,10 +56,8 @@ def skeleton_from_handles(motion: HandleMotion, rounds: int = ROUNDS) -> Skeleta
     out. MotionError if the motion has fewer handles.
     """
     if motion.rotations.shape[1] < JOINT_COUNT:
-        raise MotionError(
-            f"a motion of {motion.rotations.shape[1]} handles is not one of the reference body, which has 30; "
-            "retarget it first"
-        )
+        count = motion.rotations.shape[1]
+        raise MotionError(f"a motion of {count} handles is not one of the reference body; retarget it first")
     body = reference_body()
     want = motion.root_rotation[:, None].astype(float) @ motion.rotations[:, :JOINT_COUNT]
     world = np.concatenate([_world(want[start : start + CHUNK], rounds) for start in range(0, len(want), CHUNK)])
@@ -88,9 +86,8 @@ def _world(want: np.ndarray, rounds: int) -> np.ndarray:
     for _ in range(rounds):
         wide = world.transpose(0, 2, 1, 3).reshape(3 * frames, -1)  # rows: frame and axis; columns: joint and its axis
         positions = _joint_positions(world).transpose(0, 2, 1).reshape(3 * frames, -1)
-        covariance = (
-            (wide @ moments.linear + positions @ moments.shift).reshape(frames, 3, JOINT_COUNT, 3).transpose(0, 2, 1, 3)
-        )
+        covariance = (wide @ moments.linear + positions @ moments.shift).reshape(frames, 3, JOINT_COUNT, 3)
+        covariance = covariance.transpose(0, 2, 1, 3)
         lacking = axis_angle_from_matrix(want @ np.swapaxes(nearest_rotation(covariance), -1, -2))
         world = matrix_from_axis_angle(lacking) @ world
     return world
@@ -103,9 +100,8 @@ def _mean_of_root(world: np.ndarray) -> np.ndarray:
     mass /= mass.sum()
     shares = mass[:, None] * body.joint_weights
     arms = np.einsum("vj,vja->ja", shares, body.vertices[:, None].astype(float) - body.joints)
-    return np.asarray(
-        np.einsum("njab,jb->na", world, arms) + np.einsum("j,nja->na", shares.sum(axis=0), _joint_positions(world))
-    )
+    heads = np.einsum("j,nja->na", shares.sum(axis=0), _joint_positions(world))
+    return np.asarray(np.einsum("njab,jb->na", world, arms) + heads)
 
 
 _CHILDREN = [[child for child in range(JOINT_COUNT) if JOINT_PARENTS[child] == joint] for joint in range(JOINT_COUNT)]
@@ -161,9 +157,8 @@ def _rest_offsets(bones: np.ndarray) -> np.ndarray:
 def _frame(bones: np.ndarray, left: int, right: int, above: int) -> np.ndarray:
     """Axes of a part as columns: to its left, up along it, forward; shape (..., 3, 3) from bones (..., 22, 3)."""
     across = bones[..., left, :] - bones[..., right, :]
-    low = (
-        (bones[..., left, :] + bones[..., right, :]) / 2 if left == _PARTS[0][0] else 0
-    )  # collar bones may be over the neck's end
+    # Collar bones may be over the neck's end.
+    low = (bones[..., left, :] + bones[..., right, :]) / 2 if left == _PARTS[0][0] else 0
     forward = np.cross(across, bones[..., above, :] - low)
     axes = [across, np.cross(forward, across), forward]
     return np.stack([axis / np.maximum(np.linalg.norm(axis, axis=-1, keepdims=True), 1e-12) for axis in axes], -1)
@@ -182,8 +177,6 @@ def _rolled(world: np.ndarray, joint: int, offsets: np.ndarray, bones: np.ndarra
     direction -= axis * (axis @ direction)
     bent = np.einsum("nji,nj->ni", world, bones[:, LIMB_CHILD[child]])
     bent /= np.maximum(np.linalg.norm(bent, axis=-1, keepdims=True), 1e-9)
-    pair = np.stack(
-        [bent @ direction + _PULL, bent @ np.cross(axis, direction)], -1
-    )  # the direction that the roll should turn `way` to
+    pair = np.stack([bent @ direction + _PULL, bent @ np.cross(axis, direction)], -1)  # where the roll should take it
     pair = gaussian(pair, _SMOOTH * fps)
     return np.asarray(world @ matrix_from_axis_angle(np.arctan2(pair[:, 1], pair[:, 0])[:, None] * axis))

@@ -10,10 +10,8 @@ from bunraku.errors import OptionError
 
 JOINT_NAMES: tuple[str, ...] = (
     "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle",
-    "spine3",
-    "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head", "left_shoulder", "right_shoulder",
-    "left_elbow",
-    "right_elbow", "left_wrist", "right_wrist",
+    "spine3", "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head", "left_shoulder",
+    "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist",
 )  # fmt: skip
 JOINT_PARENTS: tuple[int, ...] = (-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19)
 JOINT_COUNT = len(JOINT_NAMES)
@@ -105,9 +103,9 @@ def kept_handles(keep: str | Sequence[str]) -> np.ndarray:
         elif plain.replace(" ", "_") in HANDLE_INDEX:
             out[HANDLE_INDEX[plain.replace(" ", "_")]] = True
         else:
+            parts = ", ".join(PARTS)
             raise OptionError(
-                f"there is no part '{word.strip()}' to keep; there are {', '.join(PARTS)}, and single handles such as "
-                "left_wrist"
+                f"there is no part '{word.strip()}' to keep; there are {parts}, and handles like left_wrist"
             )
     if out.all():
         raise OptionError("all handles are kept, so there is nothing to generate; keep fewer")

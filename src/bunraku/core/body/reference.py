@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from importlib.resources import files
+from pathlib import Path
 
 import numpy as np
 
@@ -46,10 +46,8 @@ class ReferenceBody:
         """The canonical handles; one without vertices on a person stands at its parent."""
         from bunraku.core.geometry.surface import vertex_areas
 
-        return Handles(
-            handle_positions(self.vertices, self.handle_weights, vertex_areas(self.vertices, self.faces)),
-            self.handle_weights,
-        )
+        areas = vertex_areas(self.vertices, self.faces)
+        return Handles(handle_positions(self.vertices, self.handle_weights, areas), self.handle_weights)
 
     def character(self) -> Character:
         """The body as a rigged character."""
@@ -57,9 +55,8 @@ class ReferenceBody:
         weights = np.take_along_axis(self.joint_weights, indices, axis=1)
         transforms = np.tile(np.eye(4), (len(self.joints), 1, 1))
         transforms[:, :3, 3] = self.joints
-        rig = Rig(
-            JOINT_NAMES, np.array(JOINT_PARENTS), transforms, indices, weights / weights.sum(axis=1, keepdims=True)
-        )
+        weights = weights / weights.sum(axis=1, keepdims=True)
+        rig = Rig(JOINT_NAMES, np.array(JOINT_PARENTS), transforms, indices, weights)
         return Character(f"reference-{self.name}", self.vertices, self.faces, rig)
 
     def pose(self, motion: SkeletalMotion) -> np.ndarray:
@@ -71,22 +68,16 @@ class ReferenceBody:
         scale = leg_length(self.joints) / leg_length(motion.skeleton.positions)
         scaled = SkeletalMotion(self.skeleton, motion.rotations, motion.root_translation * scale, motion.fps)
         rotations, positions = scaled.world()
-        transforms = np.concatenate(
-            [rotations, (positions - np.einsum("njab,jb->nja", rotations, self.joints))[..., None]], axis=-1
-        )
+        shifts = positions - np.einsum("njab,jb->nja", rotations, self.joints)
+        transforms = np.concatenate([rotations, shifts[..., None]], axis=-1)
         return skin(self.vertices, self.joint_weights, transforms)
 
 
 def leg_length(joints: np.ndarray) -> float:
     """Mean length of the two legs from hip to ankle [m], from joint positions (22, 3)."""
-    return float(
-        np.mean(
-            [
-                np.linalg.norm(joints[a] - joints[b]) + np.linalg.norm(joints[b] - joints[c])
-                for a, b, c in ((1, 4, 7), (2, 5, 8))
-            ]
-        )
-    )
+    legs = ((1, 4, 7), (2, 5, 8))
+    lengths = [np.linalg.norm(joints[a] - joints[b]) + np.linalg.norm(joints[b] - joints[c]) for a, b, c in legs]
+    return float(np.mean(lengths))
 
 
 def handle_positions(vertices: np.ndarray, weights: np.ndarray, areas: np.ndarray) -> np.ndarray:
@@ -107,10 +98,7 @@ def handle_positions(vertices: np.ndarray, weights: np.ndarray, areas: np.ndarra
 
 @lru_cache(maxsize=1)
 def _asset() -> dict[str, np.ndarray]:
-    with (
-        files("bunraku.core.body").joinpath("reference.npz").open("rb") as handle,
-        np.load(handle, allow_pickle=False) as archive,
-    ):
+    with np.load(Path(__file__).with_name("reference.npz"), allow_pickle=False) as archive:
         return {key: archive[key] for key in archive.files}
 
 
@@ -135,8 +123,7 @@ def reference_body(shape: str = "average") -> ReferenceBody:
 
     return ReferenceBody(
         shape, vertices, asset["faces"].astype(np.int64), asset["shape_joints"][index], weights("joint_weights"),
-        weights("handle_weights"),
-        asset["mirror"].astype(np.int64),
+        weights("handle_weights"), asset["mirror"].astype(np.int64),
     )  # fmt: skip
 
 
@@ -144,9 +131,8 @@ def reference_body(shape: str = "average") -> ReferenceBody:
 _LEFT_AND_MIDDLE = {
     "left_hip": (6.5, -9, -1), "spine1": (0, 12, -3.5), "left_knee": (3.5, -37.5, -0.4), "spine2": (0, 13.6, 2.2),
     "left_ankle": (-1.4, -39.8, -4.4), "spine3": (0, 5.5, 0.3), "left_foot": (3.5, -6, 12.2), "neck": (0, 21.3, -3.4),
-    "left_collar": (7.7, 11.4, -2.1), "head": (0, 8.9, 5), "left_shoulder": (11.5, 4.5, -1.9), "left_elbow": (25.5,
-    -1.5, -2.3),
-    "left_wrist": (26.5, 1.3, -0.7),
+    "left_collar": (7.7, 11.4, -2.1), "head": (0, 8.9, 5), "left_shoulder": (11.5, 4.5, -1.9),
+    "left_elbow": (25.5, -1.5, -2.3), "left_wrist": (26.5, 1.3, -0.7),
 }  # fmt: skip
 
 _ENDS = {"hip": "knee", "knee": "ankle", "shoulder": "elbow", "elbow": "wrist"}

@@ -177,11 +177,8 @@ def blend_matrix(points: np.ndarray, home: np.ndarray, stars: Stars, width: floa
         blocks.append(_blend(nearest, moved < 0, rows, stars, width))
         gone = np.flatnonzero(moved >= 0)
         if len(gone):
-            blocks.append(
-                _blend(
-                    _search(points[rows[gone]], moved[gone], stars), np.ones(len(gone), bool), rows[gone], stars, width
-                )
-            )
+            nearest = _search(points[rows[gone]], moved[gone], stars)
+            blocks.append(_blend(nearest, np.ones(len(gone), bool), rows[gone], stars, width))
     row, column, value = (np.concatenate([block[part] for block in blocks]) for part in range(3))
     return coo_matrix((value, (row, column)), shape=(len(points), len(stars.pointer) - 1)).tocsr()
 

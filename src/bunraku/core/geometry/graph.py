@@ -95,10 +95,8 @@ def canonical_order(points: np.ndarray) -> np.ndarray:
 def along(vectors: np.ndarray) -> np.ndarray:
     """Component of each vector along the fixed direction that breaks ties, shape (C, 3) -> (C,)."""
     x, y, z = vectors.T
-    out: np.ndarray = (
-        x * _DIRECTION[0] + y * _DIRECTION[1] + z * _DIRECTION[2]
-    )  # not a BLAS product, whose rounding depends on the row
-    return out
+    # Not a BLAS product, whose rounding depends on the row.
+    return np.asarray(x * _DIRECTION[0] + y * _DIRECTION[1] + z * _DIRECTION[2])
 
 
 def canonical_rank(points: np.ndarray) -> np.ndarray:
@@ -123,22 +121,17 @@ def _weld(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     order = canonical_order(points)
     points = points[order]
     # Cells of four grids, a quarter of a cell apart along every axis. A border that parts two near points does so in
-    # one grid
-    # for each axis, so the fourth grid joins them.
-    firsts = []
-    for shift in (0.5, 0.75, 0.0, 0.25):
-        firsts.append(_first_alike(pack((np.floor(points / (4 * _WELD) + shift) + 60000).astype(np.int64), 120001)))
+    # one grid for each axis, so the fourth grid joins them.
+    grids = [np.floor(points / (4 * _WELD) + shift) for shift in (0.5, 0.75, 0.0, 0.25)]
+    firsts = [_first_alike(pack((cells + 60000).astype(np.int64), 120001)) for cells in grids]
     here = np.arange(len(points))
     rows, columns = np.tile(here, 4), np.concatenate(firsts)
     moved = rows != columns
-    if not moved.any():
-        label = here
-        first = here
-    else:
+    label = first = here
+    if moved.any():
         graph = coo_matrix((np.ones(moved.sum(), bool), (rows[moved], columns[moved])), shape=(len(points),) * 2)
-        _, first, label = np.unique(
-            connected_components(graph, directed=False)[1], return_index=True, return_inverse=True
-        )
+        part = connected_components(graph, directed=False)[1]
+        _, first, label = np.unique(part, return_index=True, return_inverse=True)
         rank = np.empty(len(first), np.int64)
         rank[np.argsort(first)] = np.arange(len(first))
         label, first = rank[label], np.sort(first)

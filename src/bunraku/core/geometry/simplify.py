@@ -84,9 +84,8 @@ def refine(clean: CleanMesh, cell: float, max_edge: float) -> FineMesh:
         grown = identity(count, format="csr")
         for pairs in rounds:
             rows = np.repeat(np.arange(len(pairs)), 2)
-            half = csr_matrix(
-                (np.full(2 * len(pairs), 0.5), (rows, pairs.reshape(-1))), shape=(len(pairs), grown.shape[0])
-            )
+            entries = np.full(2 * len(pairs), 0.5), (rows, pairs.reshape(-1))
+            half = csr_matrix(entries, shape=(len(pairs), grown.shape[0]))
             grown = vstack([grown, half @ grown], format="csr")
         steps.append(grown)
     return _fine(points, faces, unique_edges(faces, len(points)), tuple(steps), start)
@@ -189,10 +188,8 @@ def soft_means(fine: FineMesh, patches: Patches, cell: float) -> tuple[csr_matri
     label, ends = patches.label, fine.edges
     ends = ends[label[ends[:, 0]] != label[ends[:, 1]]]
     columns = np.arange(len(label))
-    members, where = (
-        np.concatenate([columns, ends[:, 0], ends[:, 1]]),
-        np.concatenate([label, label[ends[:, 1]], label[ends[:, 0]]]),
-    )
+    members = np.concatenate([columns, ends[:, 0], ends[:, 1]])
+    where = np.concatenate([label, label[ends[:, 1]], label[ends[:, 0]]])
     pairs = unpack_pairs(members * len(patches.cells) + where, len(patches.cells))
     vertex, patch = pairs.T
     off = np.abs(fine.vertices[vertex] - patches.cells[patch]) / cell
@@ -249,17 +246,14 @@ class NetworkMesh:
 
     def push_clean(self, values: np.ndarray) -> np.ndarray:
         """Values of network vertices at every vertex of `clean`, shape (M, C) -> (W, C), float32."""
-        out: np.ndarray = self._spread @ np.asarray(values, np.float32)
-        return out
+        return np.asarray(self._spread @ np.asarray(values, np.float32))
 
     def push_surface(self, values: np.ndarray, where: np.ndarray) -> np.ndarray:
         """Values of network vertices at some vertices of `surface`, shapes (M, C), (S,) -> (S, C), float32."""
         if len(where) == 0:
             return np.zeros((0, values.shape[1]), np.float32)
-        out: np.ndarray = self._blend(self.surface.vertices[where], self.surface_label[where]) @ np.asarray(
-            values, np.float32
-        )
-        return out
+        blend = self._blend(self.surface.vertices[where], self.surface_label[where])
+        return np.asarray(blend @ np.asarray(values, np.float32))
 
     def pull(self, values: np.ndarray) -> np.ndarray:
         """Mean values of original vertices over the surface of each network vertex, shape (V, C) -> (M, C), float32."""
@@ -281,8 +275,7 @@ class NetworkMesh:
         first, other = np.divmod(key, count)
         order = np.lexsort((-shared, first))
         home = other[order[np.unique(first[order], return_index=True)[1]]]
-        out: np.ndarray = view._blend(self.vertices.astype(np.float64), home) @ np.asarray(values, np.float32)
-        return out
+        return np.asarray(view._blend(self.vertices.astype(np.float64), home) @ np.asarray(values, np.float32))
 
     def _blend(self, points: np.ndarray, home: np.ndarray) -> csr_matrix:
         """Weights of this mesh's vertices at points (P, 3) near its vertices `home` (P,)."""

@@ -11,12 +11,7 @@ def face_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Normals of faces with the length of twice their area [m^2], shape (F, 3), float64."""
     vertices = np.asarray(vertices, np.float64)
     origin = vertices[faces[:, 0]]
-    u, v = vertices[faces[:, 1]] - origin, vertices[faces[:, 2]] - origin
-    out = np.empty_like(u)  # np.cross takes three times as long
-    for axis in range(3):
-        i, j = (axis + 1) % 3, (axis + 2) % 3
-        out[:, axis] = u[:, i] * v[:, j] - u[:, j] * v[:, i]
-    return out
+    return _cross(vertices[faces[:, 1]] - origin, vertices[faces[:, 2]] - origin)
 
 
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray, unit: bool = True) -> np.ndarray:
@@ -36,6 +31,13 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray, unit: bool = True) -
     out = np.where(fine, out / np.where(fine, largest, 1), [0.0, 1.0, 0.0])
     unit_normals: np.ndarray = out / np.sqrt(np.square(out).sum(axis=1, keepdims=True))
     return unit_normals
+
+
+def unit_normals(normals: np.ndarray) -> np.ndarray:
+    """Normals of length 1, shape (V, 3), float64; +Y where they have no direction."""
+    normals = np.nan_to_num(normals.astype(np.float64), posinf=0, neginf=0)
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.where(length > 1e-12, normals / np.maximum(length, 1e-12), [0.0, 1, 0])
 
 
 def vertex_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -78,13 +80,6 @@ def surface_points(vertices: np.ndarray, faces: np.ndarray, count: int) -> tuple
     points = origin + along[:, None] * first + across[:, None] * second
     length = np.linalg.norm(cross[face], axis=1, keepdims=True)
     return points, cross[face] / np.where(length > 0, length, 1)
-
-
-def _edge_lengths(vertices: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Lengths of vertex pairs [m], shape (E,)."""
-    difference = vertices[edges[:, 0]] - vertices[edges[:, 1]]
-    lengths: np.ndarray = np.sqrt(np.square(difference).sum(axis=1))
-    return lengths
 
 
 def split_estimate(vertices: np.ndarray, faces: np.ndarray, length: float) -> float:
@@ -153,9 +148,8 @@ def _split(vertices: np.ndarray, faces: np.ndarray, middles: np.ndarray) -> np.n
     a, b, c = faces[count == 2].T
     p, q = middles[count == 2, 0], middles[count == 2, 1]
     out.append((p, b, q))
-    first = _edge_lengths(vertices, np.stack([p, c], 1)) <= _edge_lengths(vertices, np.stack([a, q], 1)) * (
-        1 + 1e-3
-    )  # ties must not hang on rounding
+    pc, aq = (_lengths(vertices[start] - vertices[end]) for start, end in ((p, c), (a, q)))
+    first = pc <= aq * (1 + 1e-3)  # ties must not hang on rounding
     out += [(p[first], q[first], c[first]), (a[first], p[first], c[first])]
     other = ~first
     out += [(a[other], p[other], q[other]), (a[other], q[other], c[other])]
@@ -255,7 +249,7 @@ def _of_faces(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """As `np.cross`, which takes longer for a few hundred, shape (F, 3)."""
+    """As `np.cross`, which takes three times as long, shape (F, 3)."""
     out = np.empty_like(a)
     for axis in range(3):
         i, j = (axis + 1) % 3, (axis + 2) % 3

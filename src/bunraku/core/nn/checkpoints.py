@@ -214,8 +214,5 @@ def shipped_checkpoint(name: str) -> Path:
     """
     path = weights_file(f"{name}.safetensors")
     if not path.is_file():
-        raise WeightsError(
-            f"{path}: the '{name}' weights are missing; install Bunraku again, train them, or set BUNRAKU_WEIGHTS to "
-            "their folder"
-        )
+        raise WeightsError(f"{path}: the '{name}' weights are missing; install Bunraku again, or set BUNRAKU_WEIGHTS")
     return path

@@ -25,14 +25,8 @@ from bunraku.files.fbx.scene import (
 from bunraku.files.gltf.carry import clip_number
 
 CONSTANT, CUBIC, NEXT, WEIGHTED_RIGHT, WEIGHTED_LEFT = 0x2, 0x8, 0x100, 0x0100_0000, 0x0200_0000
-AUTO, TCB, USER, FLAT_AT_EQUAL, OVER_TIME, PROGRESSIVE = (
-    0x100,
-    0x200,
-    0x400,
-    0x1000,
-    0x2000,
-    0x4000,
-)  # how a cubic key gets its tangents
+# How a cubic key gets its tangents.
+AUTO, TCB, USER, FLAT_AT_EQUAL, OVER_TIME, PROGRESSIVE = 0x100, 0x200, 0x400, 0x1000, 0x2000, 0x4000
 WEIGHT_UNIT = 9999.0
 
 
@@ -208,10 +202,8 @@ def sample_clip(scene: FbxScene, clip: FbxClip, fps: float) -> tuple[Values, int
     """
     count = int(np.floor(min(clip.seconds * fps, 1e9) + 1e-3)) + 1
     if count * max(len(scene.models), 1) > MAX_TRANSFORMS:
-        scene.tree.fail(
-            f"its clip '{clip.name}' of {clip.seconds:.0f} s moves {len(scene.models)} objects, too many to read; cut "
-            "it or lower the frame rate"
-        )
+        frames = f"{count:,} frames of {len(scene.models)} objects"
+        scene.tree.fail(f"its clip '{clip.name}' has {frames}, too many to read; cut it or lower the frame rate")
     moments = clip.start + np.arange(count) / fps
     return {
         key: np.stack(
@@ -246,21 +238,13 @@ def read_motion(path: Path, data: bytes, *, clip: int | str | None = None, fps: 
     world = frame.world(moving)
     turn = nearest_rotation(world[..., :3, :3] @ inverses(rest)[:, :3, :3])  # from the rest pose, in the world
     number = {model: joint for joint, model in enumerate(joints)}
-    parents = np.array([number.get(_above(scene, model, number), -1) for model in joints])
+    parents = np.array([number.get(scene.above(model, number), -1) for model in joints])
     local = turn.copy()
     local[:, 1:] = np.swapaxes(turn[:, parents[1:]], -1, -2) @ turn[:, 1:]
     offsets = rest[:, :3, 3].copy()
     offsets[1:] -= rest[parents[1:], :3, 3]
     skeleton = Skeleton(tuple(scene.models[model].name for model in joints), parents, offsets)
     return SkeletalMotion(skeleton, local, world[:, 0, :3, 3], fps)
-
-
-def _above(scene: FbxScene, model: int, chosen: dict[int, int]) -> int:
-    """The nearest of chosen models above one, -1 for none."""
-    model = int(scene.parents[model])
-    while model >= 0 and model not in chosen:
-        model = int(scene.parents[model])
-    return model
 
 
 def _joints(scene: FbxScene, clip: FbxClip) -> list[int]:
@@ -273,7 +257,7 @@ def _joints(scene: FbxScene, clip: FbxClip) -> list[int]:
     trees: dict[int, list[int]] = {}
     root_of: dict[int, int] = {}
     for model in sorted(chosen):  # parents come first
-        above = _above(scene, model, chosen)
+        above = scene.above(model, chosen)
         root_of[model] = root_of.get(above, model)
         trees.setdefault(root_of[model], []).append(model)
     if not trees:

@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bunraku.core.animation import Animation, RigAnimation
+from bunraku.core.character import check_weighed, written_rig
 from bunraku.core.files import atomic_write, check_output_folder
 from bunraku.core.geometry.axes import FileFrame
 from bunraku.core.motion import checked_fps
-from bunraku.errors import CharacterError, FormatError, OptionError
+from bunraku.errors import FormatError, OptionError
 from bunraku.files.fbx.write_meshes import Look, Shape, add_mesh, file_matrices, meshes_of
 from bunraku.files.fbx.write_motion import Bones, ShapeTrack, Track, add_bones, add_clips
 from bunraku.files.fbx.write_objects import Objects, element, write_elements
@@ -55,11 +56,7 @@ def write_clips(
     """
     first = next(iter(clips.values()))
     moved = {name: clip.at(checked_fps(fps, clip.fps)) for name, clip in clips.items()}
-    if isinstance(first, RigAnimation):
-        assert first.character.rig is not None
-        bones = Bones.of_rig(first.character.rig)
-    else:
-        bones = Bones.of_handles(first.handles)
+    bones = Bones.of_rig(first.rig) if isinstance(first, RigAnimation) else Bones.of_handles(first.handles)
     tracks = {name: _track(bones, clip) for name, clip in moved.items()}
     return _write(first.character, bones, tracks, path, up, unit)
 
@@ -101,17 +98,12 @@ def write_character(
     the handles weigh another number of vertices, or there is no rig to write; FormatError if the file cannot be
     written; OptionError if an option makes no sense.
     """
-    if handles is not None and len(handles.weights) != len(character.vertices):
-        raise CharacterError(
-            f"the handles weigh {len(handles.weights)} vertices but {character.name} has {len(character.vertices)}"
-        )
-    if rig and character.rig is None:
-        raise CharacterError(f"{character.name}: there is no rig to write; make one with `bunraku.with_skeleton`")
     bones = None
-    if rig and character.rig is not None:
-        bones = Bones.of_rig(character.rig)
-    elif handles is not None:
+    if handles is not None:
+        check_weighed(character, handles)
         bones = Bones.of_handles(handles)
+    if rig:
+        bones = Bones.of_rig(written_rig(character))
     return _write(character, bones, {}, path, up, unit)
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from bunraku.core.geometry.surface import unit_normals
 from bunraku.files.fbx.nodes import BROKEN, FbxNode
 from bunraku.files.fbx.scene import FbxObject, FbxScene
 from bunraku.files.gltf.document import matte_material
@@ -65,10 +66,8 @@ def read_mesh(scene: FbxScene, geometry: FbxObject) -> FbxMesh:
     last = stored < 0  # the last corner of a polygon is stored as its complement
     corners = np.where(last, ~stored, stored)
     if len(corners) and (int(corners.max()) >= len(points) or not last[-1]):
-        fail(
-            f"a face of '{geometry.name}' uses vertex {int(corners.max())} but there are {len(points)}, or it never "
-            f"ends; {BROKEN}"
-        )
+        worst = int(corners.max())
+        fail(f"a face of '{geometry.name}' never ends or uses vertex {worst} but there are {len(points)}; {BROKEN}")
     ends = np.flatnonzero(last)
     sizes = np.diff(ends, prepend=-1)
     polygon = np.repeat(np.arange(len(sizes)), sizes)
@@ -76,9 +75,7 @@ def read_mesh(scene: FbxScene, geometry: FbxObject) -> FbxMesh:
     uvs = _layer(geometry.node, "LayerElementUV", "UV", "UVIndex", 2, corners, polygon)
     normals = _layer(geometry.node, "LayerElementNormal", "Normals", "NormalsIndex", 3, corners, polygon)
     colors = _layer(geometry.node, "LayerElementColor", "Colors", "ColorIndex", 4, corners, polygon)
-    if normals is not None:
-        length = np.linalg.norm(normals, axis=1, keepdims=True)
-        normals = np.where(length > 1e-12, normals / np.where(length > 1e-12, length, 1), [0.0, 1, 0])
+    normals = None if normals is None else unit_normals(normals)
     columns = [corners, _labels(uvs, 1e6), _labels(normals, 1e3), _labels(colors, 255)]
     chosen, of_corner = _unique_rows([column for column in columns if column is not None])
     slots, index, corner_of = split_corners(corners[chosen][:, None], len(points))
@@ -153,9 +150,7 @@ def _unique_rows(columns: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         code = np.unique(column, return_inverse=True)[1]
         label = np.unique(label * (int(code.max(initial=0)) + 1) + code, return_inverse=True)[1]
     first = np.unique(label, return_index=True)[1]
-    order = np.argsort(
-        first, kind="stable"
-    )  # in the order of the file, so that the first corner of a vertex keeps its place
+    order = np.argsort(first)  # in the order of the file, so that the first corner of a vertex keeps its place
     index = np.empty_like(order)
     index[order] = np.arange(len(order))
     return first[order], index[label]
@@ -182,15 +177,11 @@ def read_skin(scene: FbxScene, geometry: FbxObject, points: int) -> FbxSkin | No
         return None
     which, who, shares = [], [], []
     for number, cluster in enumerate(clusters):
-        index, weight = (
-            cluster.thing.node.array("Indexes").astype(np.int64),
-            cluster.thing.node.array("Weights").astype(float),
-        )
+        node = cluster.thing.node
+        index, weight = node.array("Indexes").astype(np.int64), node.array("Weights").astype(float)
         if len(index) != len(weight) or index.min(initial=0) < 0 or index.max(initial=0) >= points:
-            scene.tree.fail(
-                f"the skin of '{geometry.name}' moves vertex {int(index.max(initial=0))} but there are {points}; "
-                f"{BROKEN}"
-            )
+            worst = int(index.max(initial=0))
+            scene.tree.fail(f"the skin of '{geometry.name}' moves vertex {worst} but there are {points}; {BROKEN}")
         which.append(index)
         who.append(np.full(len(index), number))
         shares.append(np.where(np.isfinite(weight) & (weight > 0), weight, 0))
@@ -238,9 +229,7 @@ def bind_matrices(scene: FbxScene, world: np.ndarray, clusters: list[Cluster]) -
 def inverses(matrices: np.ndarray) -> np.ndarray:
     """Inverses, or for flat matrices pseudo-inverses, shape (N, 4, 4)."""
     flat = np.abs(np.linalg.det(matrices[:, :3, :3])) < 1e-30
-    if not flat.any():
-        return np.linalg.inv(matrices)
-    return np.linalg.pinv(matrices)
+    return np.linalg.pinv(matrices) if flat.any() else np.linalg.inv(matrices)
 
 
 MAX_IMAGES = 256

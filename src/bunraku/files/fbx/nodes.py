@@ -34,10 +34,9 @@ class Allowance:
         """Use some bytes; FormatError where they are used up."""
         self.left -= size
         if self.left < 0:
+            size = f"{MAX_UNPACKED >> 20} MiB"
             raise FormatError(
-                self.path,
-                f"its arrays take more than {MAX_UNPACKED >> 20} MiB when unpacked; simplify the mesh or shorten its "
-                "clips first",
+                self.path, f"its arrays unpack to more than {size}; simplify the mesh or shorten its clips"
             )
 
 
@@ -126,15 +125,14 @@ class FbxTree:
 
 def check_version(path: Path, version: int) -> None:
     """Raise FormatError for FBX of before 2011, or newer than what is known."""
-    if version < 7000:
-        raise FormatError(
-            path,
-            f"this is FBX {version / 1000:.1f}, which is not read; export it again as FBX 2011 or later (7.1 to 7.7)",
-        )
-    if version >= 8000:
-        raise FormatError(
-            path, f"this is FBX {version / 1000:.1f}, newer than what is read; export it as FBX 2020 (7.7) or earlier"
-        )
+    if not 7000 <= version < 8000:
+        raise FormatError(path, f"this is FBX {version / 1000:.1f}, which is not read; export it as FBX 7.1 to 7.7")
+
+
+def _check_counts(path: Path, nodes: int, values: int) -> None:
+    if nodes > MAX_NODES or values > MAX_VALUES:
+        limits = f"{MAX_NODES:,} nodes or {MAX_VALUES:,} values"
+        raise FormatError(path, f"it has more than {limits}; shorten its clips or export fewer objects")
 
 
 # A name with its colon, a quoted text, a bracket, an array's length, a word or number, a comma.
@@ -172,9 +170,7 @@ def _parse(path: Path, data: bytes) -> FbxNode:
             values += 1
         elif kind == 4 and match.group(4) == b"{":
             if len(stack) >= MAX_DEPTH or current is stack[-1]:
-                raise FormatError(
-                    path, f"its brackets are nested more than {MAX_DEPTH} deep or belong to nothing; {BROKEN}"
-                )
+                raise FormatError(path, f"brackets without an owner, or nested more than {MAX_DEPTH} deep; {BROKEN}")
             stack.append(current)
         elif kind == 4:
             if len(stack) == 1:
@@ -186,12 +182,7 @@ def _parse(path: Path, data: bytes) -> FbxNode:
         elif kind == 6:
             current.values.append(_word(match.group(6)))
             values += 1
-        if nodes > MAX_NODES or values > MAX_VALUES:
-            raise FormatError(
-                path,
-                f"it has more than {MAX_NODES:,} nodes or {MAX_VALUES:,} values; shorten its clips or export fewer "
-                "objects",
-            )
+        _check_counts(path, nodes, values)
     if len(stack) > 1:
         raise FormatError(path, f"it ends in the middle of '{stack[-1].name}'; {BROKEN}")
     return root
@@ -287,12 +278,7 @@ class _Binary:
             child = FbxNode(bytes(self.view[begin - letters : begin]).decode("utf-8", "replace"))
             self.nodes += 1
             self.values += count
-            if self.nodes > MAX_NODES or self.values > MAX_VALUES:
-                raise FormatError(
-                    self.path,
-                    f"it has more than {MAX_NODES:,} nodes or {MAX_VALUES:,} values; shorten its clips or export "
-                    "fewer objects",
-                )
+            _check_counts(self.path, self.nodes, self.values)
             self._values(child.values, begin, begin + length, count)
             node.children.append(child)
             at = begin + length
@@ -321,12 +307,7 @@ class _Binary:
                 at += 12
                 dtype = _ARRAYS[kind]
                 length = length if encoding else number * dtype.itemsize
-                if (
-                    at + length > end
-                    or encoding > 1
-                    or number * dtype.itemsize > MAX_UNPACKED
-                    or number > 1100 * max(length, 1)
-                ):
+                if at + length > end or encoding > 1 or number > 1100 * max(length, 1):  # zlib packs no better
                     self.fail("an array is longer than the file")
                 out.append(FbxArray(self.allowance, dtype, number, bool(encoding), view[at : at + length]))
                 at += length

@@ -15,7 +15,7 @@ from bunraku.files.fbx.mesh import BONES, FbxMesh, FbxSkin, Materials, bind_matr
 from bunraku.files.fbx.nodes import read_tree
 from bunraku.files.fbx.scene import FbxObject, FbxScene, default_world, geometric_matrix, read_scene, world_matrices
 from bunraku.files.gltf.colors import linear_from_srgb
-from bunraku.files.gltf.document import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, Document, GltfBuilder
+from bunraku.files.gltf.document import ARRAY_BUFFER, Document, GltfBuilder, triangle_primitives, vertex_attributes
 from bunraku.files.gltf.mesh import MAX_VERTICES
 from bunraku.files.gltf.read import character_from_document
 
@@ -58,7 +58,7 @@ class _Builder:
 
     def build(self, fps: float | None) -> tuple[Document, np.ndarray]:
         self._add_models()
-        roots = [node for model, node in self.nodes.items() if self._above(model) < 0]
+        roots = [node for model, node in self.nodes.items() if self.scene.above(model, self.nodes) < 0]
         index, start, shared = [], 0, [joint for joint in self.binds if self.scene.models[joint].subtype in BONES]
         for placed in self.placed:
             node = self._add_mesh(placed, shared)
@@ -83,13 +83,6 @@ class _Builder:
             self._add_clips(fps)
         return self.builder.document(self.scene.tree.path), np.concatenate(index)
 
-    def _above(self, model: int) -> int:
-        """The nearest model above one that has a node."""
-        model = int(self.scene.parents[model])
-        while model >= 0 and model not in self.nodes:
-            model = int(self.scene.parents[model])
-        return model
-
     def _adopt(self, parent: int, child: int) -> None:
         self.builder.tree["nodes"][parent].setdefault("children", []).append(child)
 
@@ -107,7 +100,7 @@ class _Builder:
         for model in sorted(wanted):
             linear = self.frame.world(self.binds.get(model, self.world[model]))[:3, :3]
             self.normalise[model] = np.eye(4) if model in rigid else _unscaled(linear)
-            local, above = self._world_of(model), self._above(model)
+            local, above = self._world_of(model), self.scene.above(model, self.nodes)
             if above >= 0:
                 local = inverses(self._world_of(above)[None])[0] @ local
             self.nodes[model] = self.builder.add(
@@ -131,21 +124,13 @@ class _Builder:
             matrix = matrix @ bound @ geometric
         linear = matrix[:3, :3]
         positions = self.frame.metres * (mesh.points @ linear.T + matrix[:3, 3])
-        attributes: dict[str, int] = {
-            "POSITION": self.builder.array(positions[mesh.index].astype(np.float32), ARRAY_BUFFER)
-        }
+        normals = None
         if mesh.normals is not None and abs(np.linalg.det(linear)) > 1e-30:
             normals = mesh.normals @ np.linalg.inv(linear)
             normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
-            attributes["NORMAL"] = self.builder.array(normals.astype(np.float32), ARRAY_BUFFER)
-        if mesh.uvs is not None:
-            attributes["TEXCOORD_0"] = self.builder.array(
-                (mesh.uvs * [1, -1] + [0, 1]).astype(np.float32), ARRAY_BUFFER
-            )
-        if mesh.colors is not None:
-            stored = np.full((len(mesh.index), 4), 65535, "<u2")
-            stored[:, :3] = np.round(65535 * linear_from_srgb(np.clip(mesh.colors, 0, 1)))
-            attributes["COLOR_0"] = self.builder.array(stored, ARRAY_BUFFER, normalized=True)
+        uvs = None if mesh.uvs is None else mesh.uvs * [1, -1] + [0, 1]
+        colors = None if mesh.colors is None else linear_from_srgb(np.clip(mesh.colors, 0, 1))
+        attributes = vertex_attributes(self.builder, positions[mesh.index], normals, uvs, colors)
         node: dict[str, Any] = {"name": placed.geometry.name or model.name}
         if skin is not None:
             self._add_weights(attributes, skin, mesh.index)
@@ -153,35 +138,22 @@ class _Builder:
                 skin, matrix @ np.linalg.inv(geometric) if abs(np.linalg.det(geometric)) > 1e-30 else matrix, shared
             )
             node["name"] = model.name
-        node["mesh"] = self.builder.add(
-            "meshes", {"name": node["name"], "primitives": self._primitives(model, mesh, attributes, linear)}
-        )
-        return self.builder.add("nodes", node)
-
-    def _primitives(
-        self, model: FbxObject, mesh: FbxMesh, attributes: dict[str, int], linear: np.ndarray
-    ) -> list[dict[str, Any]]:
         materials = self.scene.below(model, "Material")
         triangles = mesh.triangles[:, [0, 2, 1]] if np.linalg.det(linear) < 0 else mesh.triangles
-        kind, out = "<u2" if len(mesh.index) < 65535 else "<u4", []
-        for slot in np.unique(mesh.materials):
-            chosen = triangles[mesh.materials == slot].reshape(-1, 1).astype(kind)
-            primitive: dict[str, Any] = {
-                "attributes": attributes,
-                "indices": self.builder.array(chosen, ELEMENT_ARRAY_BUFFER),
-            }
-            if 0 <= slot < len(materials):
-                primitive["material"] = self.materials.number(materials[slot])
-            out.append(primitive)
-        return out
+        parts = (
+            (triangles[mesh.materials == slot],
+             self.materials.number(materials[slot]) if 0 <= slot < len(materials) else None)
+            for slot in np.unique(mesh.materials)
+        )  # fmt: skip
+        primitives = triangle_primitives(self.builder, attributes, len(mesh.index), parts)
+        node["mesh"] = self.builder.add("meshes", {"name": node["name"], "primitives": primitives})
+        return self.builder.add("nodes", node)
 
     def _add_weights(self, attributes: dict[str, int], skin: FbxSkin, index: np.ndarray) -> None:
         width = -(-skin.indices.shape[1] // 4)
-        joints, shares = np.zeros((len(index), 4 * width), "<u2"), np.zeros((len(index), 4 * width), np.float32)
-        joints[:, : skin.indices.shape[1]], shares[:, : skin.indices.shape[1]] = (
-            skin.indices[index],
-            skin.weights[index],
-        )
+        more = (0, 0), (0, 4 * width - skin.indices.shape[1])
+        joints = np.pad(skin.indices[index], more).astype("<u2")
+        shares = np.pad(skin.weights[index], more).astype(np.float32)
         for part in range(width):
             columns = slice(4 * part, 4 * part + 4)
             attributes[f"JOINTS_{part}"] = self.builder.array(np.ascontiguousarray(joints[:, columns]), ARRAY_BUFFER)
@@ -204,8 +176,7 @@ class _Builder:
         return self._add_skin([self.nodes[joint] for joint in indices + extra], np.stack(inverse))
 
     def _add_skin(self, joints: list[int], inverse: np.ndarray) -> int:
-        stored = inverse.transpose(0, 2, 1).reshape(-1, 16).astype(np.float32)
-        return self.builder.add("skins", {"joints": joints, "inverseBindMatrices": self.builder.array(stored)})
+        return self.builder.add("skins", {"joints": joints, "inverseBindMatrices": self.builder.matrices(inverse)})
 
     def _add_clips(self, fps: float) -> None:
         models = list(self.nodes)
@@ -218,7 +189,7 @@ class _Builder:
             clock = self.builder.array((np.arange(count) / fps).astype(np.float32)[:, None], bounds=True)
             entry: dict[str, Any] = {"name": clip.name, "channels": [], "samplers": []}
             for model in models:
-                above = self._above(model)
+                above = self.scene.above(model, self.nodes)
                 if len(world[model]) == 1:
                     continue
                 local = world[model] if above < 0 else inverses(world[above]) @ world[model]

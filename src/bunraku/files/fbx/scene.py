@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Container
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -80,6 +81,13 @@ class FbxScene:
         ends = (self.objects.get(other) for other, _ in self.links.get(owner.id, ()))
         return [other for other in ends if other is not None and other.kind == kind and subtype in ("", other.subtype)]
 
+    def above(self, model: int, among: Container[int]) -> int:
+        """The nearest of some models above one, -1 for none."""
+        model = int(self.parents[model])
+        while model >= 0 and model not in among:
+            model = int(self.parents[model])
+        return model
+
     def of_kind(self, kind: str) -> list[FbxObject]:
         """All objects of a kind, in the order of the file."""
         return [thing for thing in self.objects.values() if thing.kind == kind]
@@ -141,15 +149,8 @@ def _hierarchy(
     above: dict[int, int] = {}
     children: dict[int, list[FbxObject]] = {}
     for model in models:
-        parent = next(
-            (
-                owner
-                for owner, what in owners.get(model.id, ())
-                if not what and owner in objects and objects[owner].kind == "Model"
-            ),
-            0,
-        )
-        above[model.id] = parent
+        plain = (owner for owner, what in owners.get(model.id, ()) if not what and owner in objects)
+        above[model.id] = parent = next((owner for owner in plain if objects[owner].kind == "Model"), 0)
         children.setdefault(parent, []).append(model)
     ordered = list(children.get(0, []))
     for model in ordered:
@@ -220,11 +221,7 @@ def geometric_matrix(model: FbxObject) -> np.ndarray:
 
 def default_world(scene: FbxScene) -> np.ndarray:
     """World transforms of all models in the default pose, in the file's frame and unit, shape (M, 4, 4)."""
-    return (
-        np.concatenate(world_matrices(scene, {}, list(range(len(scene.models)))))
-        if scene.models
-        else np.zeros((0, 4, 4))
-    )
+    return np.concatenate([np.zeros((0, 4, 4)), *world_matrices(scene, {}, list(range(len(scene.models))))])
 
 
 def world_matrices(scene: FbxScene, values: Values, chosen: list[int]) -> list[np.ndarray]:

@@ -12,6 +12,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from bunraku.core.geometry.axes import UNITS, FileFrame
+from bunraku.files.gltf.carry import free_name
 
 VERSION = 7400
 FILE_ID = bytes.fromhex("28b32aebb624ccc2bfc8b02aa92bfcf1")
@@ -157,11 +158,7 @@ class Objects:
     def free_name(self, name: str, among: str) -> str:
         """A name that nothing else of a kind has: with a number where it is taken."""
         taken = self._names.setdefault(among, set())
-        name = name.replace("\x00", " ")
-        chosen = next(
-            free for free in (name, *(f"{name}_{number}" for number in range(1, len(taken) + 2))) if free not in taken
-        )
-        taken.add(chosen)
+        taken.add(chosen := free_name(name.replace("\x00", " "), taken, "_", 1))
         return chosen
 
     def elements(self) -> list[Element]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import copy
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Container, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -36,13 +36,9 @@ def carry_tree(document: Document) -> dict[str, Any]:
         if document.items(key):
             tree[key] = copy.deepcopy(document.items(key))
     extensions = old.get("extensions")
-    kept = (
-        {name: copy.deepcopy(extensions[name]) for name in _ROOT_EXTENSIONS if name in extensions}
-        if isinstance(extensions, dict)
-        else {}
-    )
+    kept = [name for name in _ROOT_EXTENSIONS if name in extensions] if isinstance(extensions, dict) else []
     if kept:
-        tree["extensions"] = kept
+        tree["extensions"] = {name: copy.deepcopy(extensions[name]) for name in kept}
     if "extras" in old:
         tree["extras"] = copy.deepcopy(old["extras"])
     for key in ("extensionsUsed", "extensionsRequired"):
@@ -128,12 +124,10 @@ class MeshCarrier:
             shared = self._vertex_data(first, stop - start, bend)
             for member, triangles in zip(group.primitives, group.triangles, strict=True):
                 own = old["primitives"][member]
-                data = (
-                    shared if own["attributes"] == first["attributes"] else self._vertex_data(own, stop - start, bend)
-                )
-                primitives[member] = self._primitive(
-                    own, {**data, "attributes": dict(data["attributes"])}, triangles if part.mirrored else None
-                )
+                alike = own["attributes"] == first["attributes"]
+                data = shared if alike else self._vertex_data(own, stop - start, bend)
+                data = {**data, "attributes": dict(data["attributes"])}
+                primitives[member] = self._primitive(own, data, triangles if part.mirrored else None)
             start = stop
         mesh["primitives"] = [primitive for primitive in primitives if primitive]
         if weights and all("targets" in primitive for primitive in mesh["primitives"]):
@@ -169,13 +163,10 @@ class MeshCarrier:
             if str(self.document.item("accessors", accessor).get("type")).startswith("MAT"):
                 continue  # glTF gives no meaning to matrices a vertex
             if bend is not None and name in ("POSITION", "NORMAL", "TANGENT"):
-                values = self.document.accessor(accessor, ("VEC4",) if name == "TANGENT" else ("VEC3",)).astype(
-                    np.float64
-                )
-                bent = bend.attribute(name, values, keep_base="targets" in old)
-                attributes[name] = self.builder.array(
-                    _repaired(name, bent.astype(np.float32)), ARRAY_BUFFER, bounds=name == "POSITION"
-                )
+                values = self.document.accessor(accessor, ("VEC4",) if name == "TANGENT" else ("VEC3",))
+                bent = bend.attribute(name, values.astype(np.float64), keep_base="targets" in old)
+                repaired = _repaired(name, bent.astype(np.float32))
+                attributes[name] = self.builder.array(repaired, ARRAY_BUFFER, bounds=name == "POSITION")
             else:
                 attributes[name] = self._carry(accessor, name)
         data: dict[str, Any] = {"attributes": attributes}
@@ -190,10 +181,9 @@ class MeshCarrier:
             if self.document.count(accessor) != count:
                 continue
             if bend is not None and name in ("POSITION", "NORMAL", "TANGENT"):
-                bent = bend.offset(name, self.document.accessor(accessor, ("VEC3",)).astype(np.float64)).astype(
-                    np.float32
-                )
-                out[name] = self.builder.array(np.nan_to_num(bent), ARRAY_BUFFER, bounds=name == "POSITION")
+                bent = bend.offset(name, self.document.accessor(accessor, ("VEC3",)).astype(np.float64))
+                stored = np.nan_to_num(bent.astype(np.float32))
+                out[name] = self.builder.array(stored, ARRAY_BUFFER, bounds=name == "POSITION")
             else:
                 out[name] = self._carry(accessor, f"target {name}")
         return out
@@ -211,12 +201,7 @@ class MeshCarrier:
         }
         kinds = ("SCALAR",) if role == "INDEX" else ("SCALAR", "VEC2", "VEC3", "VEC4")
         bounds = role in ("POSITION", "target POSITION")
-        if (
-            "bufferView" not in old
-            and "sparse" not in old
-            and role != "INDEX"
-            and not role.endswith(("POSITION", "NORMAL", "TANGENT"))
-        ):
+        if not {"bufferView", "sparse"} & old.keys() and not role.endswith(("INDEX", "POSITION", "NORMAL", "TANGENT")):
             return self.builder.zeros({**extra, **{name: old[name] for name in ("componentType", "count", "type")}})
         values = self.document.accessor(index, kinds, raw=True)
         if role == "INDEX":
@@ -290,6 +275,11 @@ def _repaired(role: str, values: np.ndarray) -> np.ndarray:
 _OUTPUTS = {"translation": ("VEC3",), "rotation": ("VEC4",), "scale": ("VEC3",), "weights": ("SCALAR",)}
 
 
+def clip_names(document: Document) -> list[str]:
+    """Names of the clips of a document, numbered where it gives none."""
+    return [str(clip.get("name") or f"animation {number}") for number, clip in enumerate(document.items("animations"))]
+
+
 def clip_number(path: Path, names: list[str], clip: int | str) -> int:
     """Number of a clip by its number or name, with or without its armature's name before a bar. OptionError if there is
     no clip of this name or number.
@@ -303,12 +293,11 @@ def clip_number(path: Path, names: list[str], clip: int | str) -> int:
     return number
 
 
-def free_name(name: str, taken: Iterable[str]) -> str:
-    """The name, with a number after it where it is taken."""
-    names, number, out = set(taken), 1, name
-    while out in names:
-        number += 1
-        out = f"{name}-{number}"
+def free_name(name: str, taken: Container[str], between: str = "-", number: int = 2) -> str:
+    """The name, with the first free number after it where it is taken."""
+    out = name
+    while out in taken:
+        out, number = f"{name}{between}{number}", number + 1
     return out
 
 

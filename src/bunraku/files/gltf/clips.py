@@ -90,14 +90,14 @@ def _same_nodes(base: Document, other: Document) -> dict[int, int]:
             if same is None and short.count(line[-1]) == 1:
                 same = short.index(line[-1])
             if same is None:
-                raise FormatError(
-                    other.path,
-                    f"its clip moves '{line[-1][:60]}', which {base.path.name} lacks: it is of another character; "
-                    "put its motion on this one with `bunraku transfer`",
-                )
+                raise _another(other.path, f"its clip moves '{line[-1][:60]}', which {base.path.name} lacks")
             out[node] = same
     _check_rest(base, other, out)
     return out
+
+
+def _another(path: Path, why: str) -> FormatError:
+    return FormatError(path, f"{why}: it is of another character; put its motion on this one with `bunraku transfer`")
 
 
 def _lines(document: Document) -> list[tuple[str, ...]]:
@@ -127,11 +127,7 @@ def _check_rest(base: Document, other: Document, nodes: dict[int, int]) -> None:
     ours, theirs = (np.array(points) for points in zip(*pairs, strict=True))
     ours, theirs = ours - ours.mean(axis=0), theirs - theirs.mean(axis=0)
     if np.abs(ours - theirs).max() > SAME_BONES * max(float(np.ptp(ours, axis=0).max()), 1e-9):
-        raise FormatError(
-            other.path,
-            f"its bones have the names of those of {base.path.name} and rest elsewhere: it is of another character; "
-            "put its motion on this one with `bunraku transfer`",
-        )
+        raise _another(other.path, f"its bones have the names of those of {base.path.name} and rest elsewhere")
 
 
 STILL = 1e-6

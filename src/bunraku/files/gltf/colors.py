@@ -158,11 +158,8 @@ def _decode_all(document: Document, parts: tuple[MeshPart, ...]) -> dict[int, np
     kept = PREVIEW_SIZE
     while kept > 64 and 3 * kept**2 * len(chosen) > MAX_KEPT:
         kept //= 2
-    side_by_side = min(4, len(chosen))
-    while side_by_side > 1 and not document.has_room(
-        MAX_KEPT + side_by_side * max(sizes[image][1] for image in chosen)
-    ):
-        side_by_side -= 1
+    largest = max((sizes[image][1] for image in chosen), default=0)
+    side_by_side = next((n for n in range(min(4, len(chosen)), 1, -1) if document.has_room(MAX_KEPT + n * largest)), 1)
     if side_by_side < 2:
         decoded = {image: _decode(sources[image], kept) for image in chosen}
     else:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import struct
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO, NoReturn
@@ -72,10 +72,8 @@ class Document:
     def check_memory(self, needed: int) -> None:
         """Raise FormatError if so many bytes beside the file are too much for a file of this size or the machine."""
         if not self.has_room(needed):
-            self.fail(
-                f"reading it would take {(self._own + needed) / 1e6:,.0f} MB of memory, which is too much for its "
-                "size or for this machine; simplify it, or close other programs"
-            )
+            size = f"{(self._own + needed) / 1e6:,.0f} MB of memory"
+            self.fail(f"it needs {size}, too much for its size or this machine; simplify it, or close other programs")
 
     def fail(self, problem: str) -> NoReturn:
         """Raise a FormatError about this document."""
@@ -145,10 +143,7 @@ class Document:
 
     def indices(self, owner: dict[str, object], key: str, kind: str) -> list[int]:
         """A list of indices into a top-level list, under a key of an object."""
-        value, listed = (
-            owner.get(key, []),
-            self.tree.get(kind, []),
-        )  # the list's own entries are not checked, as in `item`
+        value, listed = owner.get(key, []), self.tree.get(kind, [])  # whose entries are not checked, as in `item`
         count = len(listed) if isinstance(listed, list) else 0
         if not isinstance(value, list) or not all(type(x) is int and 0 <= x < count for x in value):
             self.broken(f"'{key}' points at {kind} that do not exist")
@@ -282,6 +277,21 @@ class GltfBuilder:
         entry["bufferView"] = self.view(values.reshape(-1).view(np.uint8).data, target, stride)
         return self.add("accessors", entry)
 
+    def matrices(self, values: np.ndarray) -> int:
+        """Add matrices (N, 4, 4), column after column, as an accessor and return its index."""
+        return self.array(values.transpose(0, 2, 1).reshape(-1, 16).astype(np.float32))
+
+    def bones(self, names: Sequence[str], parents: Sequence[int] | np.ndarray, offsets: np.ndarray) -> list[int]:
+        """Add a node for each bone, moved from its parent's by an offset [m] (J, 3), and return the nodes."""
+        first = len(self.tree.get("nodes", []))
+        below: dict[int, list[int]] = {}
+        for bone, parent in enumerate(parents):
+            below.setdefault(int(parent), []).append(first + bone)
+        for bone, (name, offset) in enumerate(zip(names, offsets.tolist(), strict=True)):
+            node = {"name": name, "translation": offset}
+            self.add("nodes", {**node, "children": below[bone]} if bone in below else node)
+        return list(range(first, first + len(names)))
+
     def later(self, count: int, size: int, make: Callable[[int], bytes]) -> int:
         """Add an accessor of `count` vectors of 32-bit floats, whose bytes `make(count)` gives when the document is
         written, and return its index.
@@ -361,6 +371,45 @@ def matte_material(
     return {"name": name, "pbrMetallicRoughness": shader, **blend, **more}
 
 
+def vertex_attributes(
+    builder: GltfBuilder,
+    positions: np.ndarray,
+    normals: np.ndarray | None = None,
+    uvs: np.ndarray | None = None,
+    colors: np.ndarray | None = None,
+) -> dict[str, int]:
+    """Accessors of vertices by their names, none where there are no vertices: positions [m] (V, 3), unit normals (V,
+    3), texture coordinates with v downwards (V, 2), and linear colours from 0 to 1 (V, 3).
+    """
+    if not len(positions):
+        return {}
+    out = {"POSITION": builder.array(positions.astype(np.float32), ARRAY_BUFFER)}
+    if normals is not None:
+        out["NORMAL"] = builder.array(normals.astype(np.float32), ARRAY_BUFFER)
+    if uvs is not None:
+        out["TEXCOORD_0"] = builder.array(uvs.astype(np.float32), ARRAY_BUFFER)
+    if colors is not None:
+        stored = np.full((len(colors), 4), 65535, "<u2")
+        stored[:, :3] = np.round(65535 * np.clip(colors, 0, 1))
+        out["COLOR_0"] = builder.array(stored, ARRAY_BUFFER, normalized=True)
+    return out
+
+
+def triangle_primitives(
+    builder: GltfBuilder, attributes: dict[str, int], count: int, triangles: Iterable[tuple[np.ndarray, int | None]]
+) -> list[dict[str, Any]]:
+    """Primitives of `count` vertices with these attributes: one for each list of triangles (F, 3) and its material, or
+    points where there is no triangle.
+    """
+    out: list[dict[str, Any]] = []
+    for faces, material in triangles:
+        if len(faces) and attributes:
+            stored = np.ascontiguousarray(faces).reshape(-1, 1).astype("<u2" if count < 65535 else "<u4")
+            primitive = {"attributes": attributes, "indices": builder.array(stored, ELEMENT_ARRAY_BUFFER)}
+            out.append(primitive if material is None else {**primitive, "material": material})
+    return out or ([{"attributes": attributes, "mode": 0}] if attributes else [])
+
+
 def mesh_document(
     path: Path,
     positions: np.ndarray,
@@ -383,28 +432,8 @@ def mesh_document(
     """
     builder = GltfBuilder()
     builder.add("nodes", {"name": path.stem, "mesh": 0})
-    attributes = {}
-    if len(positions):
-        attributes["POSITION"] = builder.array(positions.astype(np.float32), ARRAY_BUFFER)
-        if normals is not None:
-            attributes["NORMAL"] = builder.array(normals.astype(np.float32), ARRAY_BUFFER)
-        if uvs is not None:
-            attributes["TEXCOORD_0"] = builder.array(uvs.astype(np.float32), ARRAY_BUFFER)
-        if colors is not None:
-            stored = np.full((len(colors), 4), 65535, "<u2")
-            stored[:, :3] = np.round(65535 * np.clip(colors, 0, 1))
-            attributes["COLOR_0"] = builder.array(stored, ARRAY_BUFFER, normalized=True)
-    primitives = []
-    for faces, material in triangles:
-        if len(faces) and attributes:
-            kind = "<u2" if len(positions) < 65535 else "<u4"
-            primitive = {
-                "attributes": attributes,
-                "indices": builder.array(faces.reshape(-1, 1).astype(kind), ELEMENT_ARRAY_BUFFER),
-            }
-            primitives.append(primitive if material is None else {**primitive, "material": material})
-    if not primitives and attributes:
-        primitives = [{"attributes": attributes, "mode": 0}]
+    attributes = vertex_attributes(builder, positions, normals, uvs, colors)
+    primitives = triangle_primitives(builder, attributes, len(positions), triangles)
     builder.tree["meshes"] = [{"name": path.stem, "primitives": primitives}]
     for data, mime in images or []:
         builder.add("textures", {"source": builder.image(data, mime)})

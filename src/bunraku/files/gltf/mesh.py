@@ -213,10 +213,7 @@ def check_size(document: Document, nodes: list[int]) -> None:
         limits = f"{MAX_VERTICES:,} vertices, {MAX_TRIANGLES:,} triangles or {MAX_PRIMITIVES:,} pieces"
         document.fail(f"it has more than {limits}; simplify the mesh first")
     if work > MAX_WORK:
-        document.fail(
-            f"its pieces and morph targets go over {work:,} vertices but at most {MAX_WORK:,} are read; join its "
-            "meshes or drop morph targets"
-        )
+        document.fail(f"its morph targets go over {work:,} vertices, at most {MAX_WORK:,} are read; drop some")
     document.check_memory(_VERTEX * vertices + _INFLUENCE * influences + _TRIANGLE * corners // 3)
 
 

@@ -178,9 +178,8 @@ def _idle(document: Document, tree: NodeTree, nodes: list[int]) -> np.ndarray:
         for channel in document.objects(clip, "channels")
         if isinstance(channel.get("target"), dict)
     ]
-    alone = (
-        (parents < 0) & ~np.isin(np.arange(len(nodes)), parents) & ~np.isin(nodes, [n for n in moved if type(n) is int])
-    )
+    played = np.isin(nodes, [node for node in moved if type(node) is int])
+    alone = (parents < 0) & ~np.isin(np.arange(len(nodes)), parents) & ~played
     return alone & bool((parents >= 0).any())
 
 
@@ -282,9 +281,8 @@ def _placement(
 
     held = target[root] @ np.linalg.inv(bind[root])
     reach = max(float(np.ptp(target[:, :3, 3], axis=0).max()), 1e-12)
-    if distance(held) <= 1e-3 * reach and np.allclose(
-        (held @ bind)[:, :3, :3], target[:, :3, :3], rtol=0, atol=0.02 * np.abs(target[:, :3, :3]).max()
-    ):
+    off, size = np.abs((held @ bind - target)[:, :3, :3]).max(), np.abs(target[:, :3, :3]).max()
+    if distance(held) <= 1e-3 * reach and off <= 0.02 * size:
         return held  # the nodes stand in the bind pose
     spaces = [default[above] if above >= 0 else np.eye(4), *(default[mesh] for mesh in meshes[:MOST_SPACES]), np.eye(4)]
     spaces = [space for space in spaces if fits(space)]
@@ -308,10 +306,8 @@ def _facing(placement: np.ndarray, placed: np.ndarray, target: np.ndarray, root:
         for points in (placed, target)
     )
     change = np.einsum("jab,jcb->ac", want, ours)
-    turn = np.eye(4)
-    turn[:3, :3] = max(
-        (upright_rotation(*axes) for axes in ORIENTATIONS), key=lambda some: float((some * change).sum())
-    )
+    turn, ways = np.eye(4), (upright_rotation(*axes) for axes in ORIENTATIONS)
+    turn[:3, :3] = max(ways, key=lambda way: float((way * change).sum()))
     turn[:3, 3] = placed[root, :3, 3] - turn[:3, :3] @ placed[root, :3, 3]
     heights, wanted = ((turn @ placed)[:, 1, 3], target[:, 1, 3])
     below, shift = wanted.min() - heights.min(), wanted[root] - heights[root]
@@ -357,9 +353,8 @@ def clip_curves(document: Document, animation: dict[str, object]) -> Curves:
             document.broken("an animation channel names a sampler that does not exist")
         how = samplers[index].get("interpolation", "LINEAR")
         times = document.accessor(samplers[index].get("input"), ("SCALAR",))[:, 0].astype(float)
-        values = document.accessor(
-            samplers[index].get("output"), ("VEC4",) if kind == "rotation" else ("VEC3",)
-        ).astype(float)
+        kinds = ("VEC4",) if kind == "rotation" else ("VEC3",)
+        values = document.accessor(samplers[index].get("output"), kinds).astype(float)
         keys = 3 if how == "CUBICSPLINE" else 1
         total += len(values)
         if total > MAX_KEYS:
@@ -408,9 +403,8 @@ def node_worlds(
             chain.append(node)
             node = int(tree.parents[node])
         if (len(worlds) + len(chain)) * len(moments) > MAX_WORLDS:
-            document.fail(
-                f"its clip moves {len(worlds) + len(chain)} nodes in {len(moments)} frames, which are too many; cut it"
-            )
+            size = f"{len(worlds) + len(chain)} nodes in {len(moments)} frames"
+            document.fail(f"its clip moves {size}, which are too many; cut it")
         for link in reversed(chain):
             above = int(tree.parents[link])
             if link not in moving:  # its default place, carried along by what is above it

@@ -42,14 +42,16 @@ def unpack_primitives(document: Document) -> None:
                 continue
             if not isinstance(extension, dict) or not isinstance(extension.get("attributes"), dict):
                 document.broken(f"a primitive lacks what {DRACO} says of it")
-            if not _draco_plain(document, primitive):
+            accessors = (document.item("accessors", index) for index in _accessors(document, primitive))
+            if not all("bufferView" in accessor for accessor in accessors):
                 packed.setdefault(document.integer(extension, "bufferView"), []).append((primitive, extension))
     _forget(document, (DRACO,))
     if not packed:
         return
     if find_spec("DracoPy") is None:
         raise MissingExtraError("DracoPy", "compressed", f"{document.path}: a mesh packed with Draco")
-    document.check_memory(_declared(document, packed))
+    declared = (_accessors(document, primitive) for users in packed.values() for primitive, _ in users)
+    document.check_memory(sum(16 * document.count(index) for indices in declared for index in indices))
     arrays = _draco_unpacked(document, [bytes(document.view(view)) for view in packed])
     for number, users in enumerate(packed.values()):
         for primitive, extension in users:
@@ -61,20 +63,6 @@ def _accessors(document: Document, primitive: dict[str, object]) -> list[Any]:
     if not isinstance(attributes, dict):
         document.broken("a mesh has a primitive without attributes")
     return [*attributes.values(), *([primitive["indices"]] if "indices" in primitive else [])]
-
-
-def _draco_plain(document: Document, primitive: dict[str, object]) -> bool:
-    """Whether all accessors of a primitive have data of their own."""
-    return all("bufferView" in document.item("accessors", index) for index in _accessors(document, primitive))
-
-
-def _declared(document: Document, packed: dict[int, list[tuple[dict[str, object], dict[str, object]]]]) -> int:
-    """About how many bytes the accessors of the packed primitives declare."""
-    total = 0
-    for users in packed.values():
-        for primitive, _ in users:
-            total += sum(16 * document.count(index) for index in _accessors(document, primitive))
-    return total
 
 
 def _draco_unpacked(document: Document, meshes: list[bytes]) -> dict[str, np.ndarray]:
@@ -95,10 +83,7 @@ def _draco_unpacked(document: Document, meshes: list[bytes]) -> dict[str, np.nda
         with np.load(BytesIO(done.stdout), allow_pickle=False) as archive:
             return {name: archive[name] for name in archive.files}
     except (subprocess.TimeoutExpired, BadZipFile, EOFError, ValueError, OSError):
-        document.fail(
-            "a mesh cannot be unpacked by Draco, or takes more memory than a file of this size may; it is broken, "
-            "export it again without compression"
-        )
+        document.fail("Draco cannot unpack a mesh, within the memory for such a file; export it without compression")
 
 
 def _fill(
@@ -129,12 +114,16 @@ def _store(document: Document, index: Any, values: np.ndarray) -> None:
         document.broken(f"Draco's data and accessors[{index}] disagree about what a mesh holds")
     with np.errstate(invalid="ignore"):
         data = np.ascontiguousarray(values.astype(dtype)).tobytes()
-    view = {"buffer": len(document.buffers), "byteLength": len(data)}
-    document.items("buffers").append({"byteLength": len(data)})
-    document.buffers.append(data)
-    document.items("bufferViews").append(view)
+    document.items("bufferViews").append(_added(document, data))
     accessor["bufferView"] = len(document.items("bufferViews")) - 1
     accessor.pop("byteOffset", None)
+
+
+def _added(document: Document, data: bytes) -> dict[str, int]:
+    """The view of bytes that are added as a buffer."""
+    document.items("buffers").append({"byteLength": len(data)})
+    document.buffers.append(data)
+    return {"buffer": len(document.buffers) - 1, "byteOffset": 0, "byteLength": len(data)}
 
 
 MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
@@ -167,9 +156,8 @@ def unpack_views(document: Document) -> None:
     try:
         library: Any = import_module("meshoptimizer")
     except ImportError as error:
-        raise MissingExtraError(
-            "meshoptimizer", "compressed", f"{document.path}: a mesh packed with meshopt"
-        ) from error
+        purpose = f"{document.path}: a mesh packed with meshopt"
+        raise MissingExtraError("meshoptimizer", "compressed", purpose) from error
     sizes = [
         document.integer(extension, "count", high=MAX_ELEMENTS) * document.integer(extension, "byteStride", high=256)
         for _, _, extension in packed
@@ -179,9 +167,7 @@ def unpack_views(document: Document) -> None:
         data = _unpacked(document, index, extension, library)
         if document.integer(view, "byteLength") != len(data):
             document.broken(f"bufferViews[{index}] unpacks to {len(data)} bytes and not to those that it should have")
-        view |= {"buffer": len(document.buffers), "byteOffset": 0, "byteLength": len(data)}
-        document.items("buffers").append({"byteLength": len(data)})
-        document.buffers.append(data)
+        view |= _added(document, data)
 
 
 def _plain(document: Document, view: dict[str, object]) -> bool:
@@ -203,15 +189,11 @@ def _unpacked(document: Document, index: int, extension: dict[str, object], libr
     count, stride = document.integer(extension, "count", high=MAX_ELEMENTS), document.integer(extension, "byteStride")
     mode, name = str(extension.get("mode"))[:40], str(extension.get("filter", "NONE"))[:40]
     if mode not in _STRIDES or stride not in _STRIDES[mode] or (mode == "TRIANGLES" and count % 3):
-        document.fail(
-            f"bufferViews[{index}] is packed as {count} {mode} of {stride} bytes, which meshopt does not know; export "
-            "the file again"
-        )
+        how = f"{count} {mode} of {stride} bytes"
+        document.fail(f"bufferViews[{index}] is packed as {how}, which meshopt does not know; export it again")
     if name not in _FILTERS or (name != "NONE" and (mode != "ATTRIBUTES" or stride not in _FILTERS[name][1])):
-        document.fail(
-            f"bufferViews[{index}] is packed with the filter {name} on {mode} of {stride} bytes, which is not read; "
-            "export the file again without that filter"
-        )
+        how = f"the filter {name} on {mode} of {stride} bytes"
+        document.fail(f"bufferViews[{index}] is packed with {how}, which is not read; export it without")
     buffer = document.integer(extension, "buffer")
     start, length = document.integer(extension, "byteOffset", 0), document.integer(extension, "byteLength")
     if buffer >= len(document.buffers) or start + length > len(document.buffers[buffer]):
@@ -237,18 +219,9 @@ _TREE_COSTS = {b"{": 232, b"[": 64, b",": 40}
 """About how many bytes Python takes for what each of these signs of JSON stands for."""
 
 _UNDERSTOOD = (
-    DRACO,
-    *MESHOPT,
-    "KHR_mesh_quantization",
-    "KHR_texture_",
-    "KHR_materials_",
-    "KHR_lights_",
-    "KHR_animation_",
-    "KHR_xmp",
-    "EXT_texture_",
-    "VRM",
-    "MSFT_",
-)
+    DRACO, *MESHOPT, "KHR_mesh_quantization", "KHR_texture_", "KHR_materials_", "KHR_lights_", "KHR_animation_",
+    "KHR_xmp", "EXT_texture_", "VRM", "MSFT_",
+)  # fmt: skip
 
 
 def open_document(path: Path, data: bytes) -> Document:
@@ -261,25 +234,20 @@ def open_document(path: Path, data: bytes) -> Document:
     else:
         text, chunk = memoryview(data), None
     written = bytes(text)
-    Document(path, {}, [], {}, len(data)).check_memory(
-        2 * len(written) + sum(written.count(sign) * cost for sign, cost in _TREE_COSTS.items())
-    )
+    costs = sum(written.count(sign) * cost for sign, cost in _TREE_COSTS.items())
+    Document(path, {}, [], {}, len(data)).check_memory(2 * len(written) + costs)
     try:
         tree = parse_json(written)
     except (ValueError, RecursionError):
-        raise FormatError(
-            path, "its JSON cannot be parsed; the file is truncated or broken, export or download it again"
-        ) from None
+        raise FormatError(path, "its JSON is truncated or broken; export or download the file again") from None
     packed = any(name.encode() in written for name in MESHOPT), DRACO.encode() in written
     del written
     if not isinstance(tree, dict) or not isinstance(tree.get("asset"), dict):
         raise FormatError(path, "this is not a glTF document, it has no 'asset'; export it again as glTF 2.0")
     document = Document(path, tree, [], {})
     if not str(tree["asset"].get("version", "")).startswith("2"):
-        document.fail(
-            f"this is glTF {str(tree['asset'].get('version'))[:10]} but only version 2 is read; export it again as "
-            "glTF 2.0"
-        )
+        version = str(tree["asset"].get("version"))[:10]
+        document.fail(f"this is glTF {version} but only version 2 is read; export it again as glTF 2.0")
     _check_extensions(document)
     files = _Files(document)
     for index, buffer in enumerate(document.items("buffers")):
@@ -295,26 +263,24 @@ def open_document(path: Path, data: bytes) -> Document:
     return document
 
 
+def _truncated(path: Path, problem: str) -> FormatError:
+    return FormatError(path, f"{problem}; it is truncated, export or download it again")
+
+
 def _glb_chunks(path: Path, data: bytes) -> tuple[memoryview, memoryview | None]:
     if len(data) < 20:
-        raise FormatError(path, "the GLB ends inside its header; it is truncated, export or download it again")
+        raise _truncated(path, "the GLB ends inside its header")
     version, total = struct.unpack_from("<II", data, 4)
     if version != 2:
-        raise FormatError(
-            path, f"this is GLB version {version} but only version 2 is read; export it again as glTF 2.0"
-        )
+        raise FormatError(path, f"this is GLB {version} but only version 2 is read; export it again as glTF 2.0")
     if total > len(data):
-        raise FormatError(
-            path, f"the GLB should have {total} bytes but has {len(data)}; it is truncated, export or download it again"
-        )
+        raise _truncated(path, f"the GLB should have {total} bytes but has {len(data)}")
     content, offset = memoryview(data)[:total], 12
     chunks: dict[int, memoryview] = {}
     while offset + 8 <= total:
         length, kind = struct.unpack_from("<II", data, offset)
         if offset + 8 + length > total:
-            raise FormatError(
-                path, "a chunk of the GLB is longer than the file; it is truncated, export or download it again"
-            )
+            raise _truncated(path, "a chunk of the GLB is longer than the file")
         chunks.setdefault(kind, content[offset + 8 : offset + 8 + length])
         offset += 8 + length + (-length % 4)
     if 0x4E4F534A not in chunks:
@@ -330,22 +296,15 @@ def _check_extensions(document: Document) -> None:
     for name in document.tree.get("extensionsRequired", []):
         name = name[:80]
         if not name.startswith(_UNDERSTOOD):
-            document.fail(
-                f"it needs the glTF extension {name}, which is not read; export it again without that extension"
-            )
+            document.fail(f"it needs the glTF extension {name}, which is not read; export it again without it")
 
 
 def _buffer(files: _Files, buffer: dict[str, object], chunk: memoryview | None) -> bytes | memoryview:
     document = files.document
     length = document.integer(buffer, "byteLength")
-    data: bytes | memoryview
-    if "uri" in buffer:
-        data = files.resource(buffer["uri"], "buffer") or b""
-    elif chunk is not None:
-        data = chunk
-    else:
-        data = b""  # a fallback buffer of a compressed file: views into it fail where they are used
-        length = 0
+    data: bytes | memoryview | None = files.resource(buffer["uri"], "buffer") if "uri" in buffer else chunk
+    if data is None:  # a fallback buffer of a compressed file: views into it fail where they are used
+        return b""
     if len(data) < length:
         document.truncated(f"a buffer should have {length} bytes but has {len(data)}")
     return memoryview(data)[:length] if len(data) > length else data
@@ -375,17 +334,14 @@ class _Files:
         target = path_inside(document.path.parent, uri)
         if target is None:
             document.fail(
-                f"its {what} {uri[:80]!r} is not in the folder of the file, so it is not opened; put the {what} beside "
-                "the file"
+                f"its {what} {uri[:80]!r} is outside the folder of the file and not opened; put it beside the file"
             )
         if target in self._known:
             return self._known[target]
         if not os.path.isfile(target):
             if missing_ok:
                 return None
-            document.fail(
-                f"its {what} {uri[:80]!r} is missing; put it beside the file, or export a GLB, which holds everything"
-            )
+            document.fail(f"its {what} {uri[:80]!r} is missing; put it beside the file, or export a GLB")
         self.size += check_input(target)
         replace(document, size=self.size).check_memory(0)
         self._known[target] = read_bounded(target)

@@ -13,7 +13,7 @@ from bunraku.core.geometry.axes import BARE, upright_rotation
 from bunraku.errors import CharacterError, OptionError
 from bunraku.files.gltf.colors import vertex_colors
 from bunraku.files.gltf.document import Document, scaled_mesh_document
-from bunraku.files.gltf.mesh import MeshPart, PrimitiveData, check_size, read_part, rigid_joints
+from bunraku.files.gltf.mesh import MeshPart, check_size, read_part, rigid_joints
 from bunraku.files.gltf.nodes import NodeTree, SkinJoints, bind_pose, posed_skins, read_nodes, read_skins
 from bunraku.files.gltf.open import open_document
 from bunraku.files.gltf.vrm import read_vrm
@@ -37,6 +37,10 @@ class Source:
     # Transform of each vertex of the character from the pose of the tree to its rest position, shape (V, 4, 4); None
     # for none.
     moved: np.ndarray | None = None
+
+    def fits(self, character: Character) -> bool:
+        """Whether the document has all vertices of a character."""
+        return len(self.index) > 0 and int(self.index.max()) + 1 == len(character.vertices)
 
     def placed(self) -> Iterator[tuple[MeshPart, np.ndarray]]:
         """The parts that have vertices, each with the character's vertex of each of its own."""
@@ -111,10 +115,8 @@ def _rig(document: Document, tree: NodeTree, skins: SkinJoints, parts: tuple[Mes
     indices, weights, start = np.zeros((count, width), np.int32), np.zeros((count, width), np.float32), 0
     for group in groups:
         stop = start + len(group.vertices)
-        indices[start:stop, : group.joints.shape[1]], weights[start:stop, : group.joints.shape[1]] = (
-            group.joints,
-            group.weights,
-        )
+        held = slice(start, stop), slice(group.joints.shape[1])
+        indices[held], weights[held] = group.joints, group.weights
         start = stop
     above = tree.parents[skins.nodes]
     joints = tree.nearest({node: joint for joint, node in enumerate(skins.nodes)})
@@ -137,11 +139,13 @@ def rotated(character: Character, up: str, front: str) -> Character:
     matrix = np.eye(4)
     matrix[:3, :3] = rotation
     rig, source = character.rig, character.source
+    if isinstance(source, Source):
+        source = _placed_source(source, matrix, [_turned_part(part, rotation) for part in source.parts])
     return replace(
         character,
         vertices=_turned_points(character.vertices, rotation),
         rig=None if rig is None else replace(rig, transforms=matrix @ rig.transforms),
-        source=_turned_source(source, matrix) if isinstance(source, Source) else source,
+        source=source,
     )
 
 
@@ -166,18 +170,13 @@ def scaled(character: Character, factor: float) -> Character:
 
 
 def _scaled_source(source: Source, factor: float, matrix: np.ndarray) -> Source:
-    if source.suffix not in BARE:
-        return _placed_source(
-            source,
-            matrix,
-            [replace(p, groups=_grown(p, factor), transform=_above(matrix, p.transform)) for p in source.parts],
-        )
-    parts = tuple(replace(part, groups=_grown(part, factor)) for part in source.parts)
-    return replace(source, document=scaled_mesh_document(source.document, factor), parts=parts)
+    def grown(part: MeshPart) -> MeshPart:
+        return replace(part, groups=tuple(replace(group, vertices=group.vertices * factor) for group in part.groups))
 
-
-def _grown(part: MeshPart, factor: float) -> tuple[PrimitiveData, ...]:
-    return tuple(replace(group, vertices=group.vertices * factor) for group in part.groups)
+    parts = tuple(map(grown, source.parts))
+    if source.suffix in BARE:
+        return replace(source, document=scaled_mesh_document(source.document, factor), parts=parts)
+    return _placed_source(source, matrix, parts)
 
 
 def _turned_points(points: np.ndarray, rotation: np.ndarray) -> np.ndarray:
@@ -186,22 +185,15 @@ def _turned_points(points: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     return np.asarray(points[:, order] * signs.astype(points.dtype) + points.dtype.type(0))
 
 
-def _turned_source(source: Source, matrix: np.ndarray) -> Source:
-    return _placed_source(source, matrix, [_turned_part(part, matrix) for part in source.parts])
-
-
 def _placed_source(source: Source, matrix: np.ndarray, parts: Sequence[MeshPart]) -> Source:
-    """The source as it is below a node with this matrix, with its parts placed so."""
+    """The source as it is below a node with this matrix, with parts whose vertices are placed so."""
     old = source.tree
     local = np.where((old.parents < 0)[:, None, None], matrix @ old.local, old.local)
     tree = NodeTree(old.parents, matrix @ old.world, old.scene, local)
-    return replace(source, tree=tree, skins=posed_skins(source.skins, tree), parts=tuple(parts))
+    moved = (replace(part, transform=None if part.transform is None else matrix @ part.transform) for part in parts)
+    return replace(source, tree=tree, skins=posed_skins(source.skins, tree), parts=tuple(moved))
 
 
-def _turned_part(part: MeshPart, matrix: np.ndarray) -> MeshPart:
-    groups = tuple(replace(group, vertices=_turned_points(group.vertices, matrix[:3, :3])) for group in part.groups)
-    return replace(part, transform=_above(matrix, part.transform), groups=groups)
-
-
-def _above(matrix: np.ndarray, transform: np.ndarray | None) -> np.ndarray | None:
-    return None if transform is None else matrix @ transform
+def _turned_part(part: MeshPart, rotation: np.ndarray) -> MeshPart:
+    groups = (replace(group, vertices=_turned_points(group.vertices, rotation)) for group in part.groups)
+    return replace(part, groups=tuple(groups))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ def read_vrm(document: Document) -> VrmModel | None:
         return None
     reader = _Reader(document, read_nodes(document))
     avatar = reader.first(extensions["VRM"]) if "VRM" in extensions else reader.second(extensions)
+    avatar = replace(avatar, warnings=warning_sentences(reader.notes))
     for warning in avatar.warnings:
         _log.warning("%s: %s", document.path, warning)
     return avatar
@@ -45,25 +47,7 @@ class _Reader:
             if parent >= 0:
                 self.below[int(parent)].append(node)
         self.notes: dict[str, list[str]] = {}
-        self.entered, self.last = self._visits()
         self.swinging = 0
-
-    def _visits(self) -> tuple[list[int], list[int]]:
-        """The times at which a walk down the tree reaches each node, and the last one below it."""
-        entered = [0] * len(self.nodes)
-        order: list[int] = []
-        stack = [node for node, parent in enumerate(self.tree.parents) if parent < 0]
-        while stack:
-            node = stack.pop()
-            entered[node] = len(order)
-            order.append(node)
-            stack += self.below[node]
-        last = list(entered)
-        for node in reversed(order):
-            parent = int(self.tree.parents[node])
-            if parent >= 0:
-                last[parent] = max(last[parent], last[node])
-        return entered, last
 
     def note(self, problem: str, name: object = "") -> None:
         self.notes.setdefault(problem, []).append(str(name))
@@ -74,20 +58,6 @@ class _Reader:
 
     def called(self, node: int) -> str:
         return str(self.nodes[node].get("name") or f"node {node}")
-
-    def model(
-        self,
-        version: str,
-        title: Any,
-        humanoid: dict[str, int],
-        springs: list[VrmSpring],
-        colliders: list[VrmCollider],
-        groups: list[tuple[int, ...]],
-    ) -> VrmModel:
-        warnings = warning_sentences(self.notes)
-        return VrmModel(
-            version, str(title or "")[:200], humanoid, tuple(springs), tuple(colliders), tuple(groups), warnings
-        )
 
     def first(self, data: Any) -> VrmModel:
         """VRM 0.x."""
@@ -101,19 +71,15 @@ class _Reader:
         for group in _objects(swings.get("colliderGroups")):
             start = len(colliders)
             for entry in _objects(group.get("colliders")):
-                offset = _point(entry.get("offset"), 0.0) * [1, 1, -1]
-                self.collider(
-                    colliders,
-                    VrmCollider(self.node(group.get("node")), "sphere", offset, _number(entry, "radius", 0.0)),
-                )
+                offset, radius = _point(entry.get("offset")) * [1, 1, -1], _number(entry, "radius", 0.0)
+                self.collider(colliders, VrmCollider(self.node(group.get("node")), "sphere", offset, radius))
             groups.append(tuple(range(start, len(colliders))))
         springs: list[VrmSpring] = []
         taken: set[int] = set()
         for group in _objects(swings.get("boneGroups")):
-            direction = _point(group.get("gravityDir"), 0.0) if "gravityDir" in group else np.array([0.0, -1, 0])
             values = (
-                _number(group, "stiffiness", 1.0), _number(group, "gravityPower", 0.0), direction * [-1, 1, 1],
-                _number(group, "dragForce", 0.4),
+                _number(group, "stiffiness", 1.0), _number(group, "gravityPower", 0.0),
+                _point(group.get("gravityDir", [0, -1, 0])) * [-1, 1, 1], _number(group, "dragForce", 0.4),
                 _number(group, "hitRadius", 0.02),
             )  # fmt: skip
             groups_of_spring = self.group_numbers(group.get("colliderGroups"), len(groups), group.get("comment", ""))
@@ -125,11 +91,10 @@ class _Reader:
                     if len(chain) > LONGEST:
                         self.note(f"springs are longer than {LONGEST} joints and are cut there", self.called(root))
                     joints = tuple(VrmSpringJoint(node, *values) for node in chain[:LONGEST])
-                    spring = VrmSpring(
-                        str(group.get("comment") or ""), joints, groups_of_spring, self.node(group.get("center")), True
-                    )
-                    self.spring(springs, spring)
-        return self.model("0.x", _object(data.get("meta")).get("title"), humanoid, springs, colliders, groups)
+                    name, center = str(group.get("comment") or ""), self.node(group.get("center"))
+                    self.spring(springs, VrmSpring(name, joints, groups_of_spring, center, True))
+        title = str(_object(data.get("meta")).get("title") or "")[:200]
+        return VrmModel("0.x", title, humanoid, tuple(springs), tuple(colliders), tuple(groups))
 
     def second(self, extensions: dict[str, object]) -> VrmModel:
         """VRM 1.0."""
@@ -155,7 +120,8 @@ class _Reader:
             joints = self.joints(_objects(entry.get("joints")), name)
             groups_of_spring = self.group_numbers(entry.get("colliderGroups"), len(groups), name)
             self.spring(springs, VrmSpring(name, joints, groups_of_spring, self.node(entry.get("center", -1))))
-        return self.model("1.0", _object(data.get("meta")).get("name"), humanoid, springs, colliders, groups)
+        title = str(_object(data.get("meta")).get("name") or "")[:200]
+        return VrmModel("1.0", title, humanoid, tuple(springs), tuple(colliders), tuple(groups))
 
     def bone(self, humanoid: dict[str, int], name: Any, node: Any) -> None:
         if self.node(node) < 0 or not isinstance(name, str):
@@ -169,15 +135,11 @@ class _Reader:
         shape = _object(extended) or shape
         if "plane" in shape:
             plane = _object(shape["plane"])
-            return VrmCollider(
-                node, "plane", _point(plane.get("offset"), 0.0), 0.0, _point(plane.get("normal", [0, 0, 1]), 0.0)
-            )
+            return VrmCollider(node, "plane", _point(plane.get("offset")), 0.0, _point(plane.get("normal", [0, 0, 1])))
         kind = "capsule" if "capsule" in shape else "sphere"
         body = _object(shape.get(kind))
-        tail = _point(body.get("tail"), 0.0) if kind == "capsule" else None
-        return VrmCollider(
-            node, kind, _point(body.get("offset"), 0.0), _number(body, "radius", 0.0), tail, body.get("inside") is True
-        )
+        tail, radius = _point(body.get("tail")) if kind == "capsule" else None, _number(body, "radius", 0.0)
+        return VrmCollider(node, kind, _point(body.get("offset")), radius, tail, body.get("inside") is True)
 
     def collider(self, colliders: list[VrmCollider], new: VrmCollider) -> bool:
         """Keep a collider that can be used."""
@@ -219,17 +181,19 @@ class _Reader:
             if node < 0 or (out and not self.is_below(node, out[-1].node)):
                 self.note("springs go on at nodes that are not below and are cut there", name or entry.get("node"))
                 break
-            direction = _point(entry.get("gravityDir", [0, -1, 0]), 0.0)
-            stiffness, drag, radius = (
-                _number(entry, "stiffness", 1.0),
-                _number(entry, "dragForce", 0.5),
-                _number(entry, "hitRadius", 0.0),
-            )
-            out.append(VrmSpringJoint(node, stiffness, _number(entry, "gravityPower", 0.0), direction, drag, radius))
+            stiffness, gravity = _number(entry, "stiffness", 1.0), _number(entry, "gravityPower", 0.0)
+            drag, radius = _number(entry, "dragForce", 0.5), _number(entry, "hitRadius", 0.0)
+            direction = _point(entry.get("gravityDir", [0, -1, 0]))
+            out.append(VrmSpringJoint(node, stiffness, gravity, direction, drag, radius))
         return tuple(out)
 
     def is_below(self, node: int, other: int) -> bool:
-        return self.entered[other] < self.entered[node] <= self.last[other]
+        """Whether a node is below another, by at most `LONGEST` nodes."""
+        for _ in range(LONGEST):
+            node = int(self.tree.parents[node])
+            if node < 0 or node == other:
+                break
+        return node == other
 
     def chains(self, root: int, taken: set[int]) -> list[list[int]]:
         """All nodes at and below one as chains, with a chain of its own for each branch; a node swings only once."""
@@ -276,15 +240,13 @@ def _number(owner: dict[str, object], key: str, default: float) -> float:
         return math.nan
 
 
-def _point(value: Any, default: float) -> np.ndarray:
-    """Three numbers from a list or from x, y, z; NaN if they are not numbers."""
+def _point(value: Any) -> np.ndarray:
+    """Three numbers from a list or from x, y, z, 0 by default; NaN if they are not numbers."""
     if isinstance(value, list) and len(value) == 3:
         value = dict(zip("xyz", value, strict=True))
-    if value is None:
-        return np.full(3, default)
-    return (
-        np.array([_number(value, axis, default) for axis in "xyz"]) if isinstance(value, dict) else np.full(3, np.nan)
-    )
+    elif value is None:
+        value = {}
+    return np.array([_number(value, axis, 0.0) for axis in "xyz"]) if isinstance(value, dict) else np.full(3, np.nan)
 
 
 _NAMES = dict(zip(HANDLE_NAMES, engine_names("vrm"), strict=True))
@@ -345,16 +307,11 @@ def _springs(avatar: VrmModel, nodes: Sequence[int]) -> dict[str, Any]:
     springs = []
     for spring in avatar.springs:
         joints = [
-            {
-                "node": nodes[joint.node],
-                "hitRadius": round(joint.radius, 6),
-                "stiffness": round(joint.stiffness, 6),
-                "gravityPower": round(joint.gravity, 6),
-                "gravityDir": _numbers(joint.gravity_direction),
-                "dragForce": round(joint.drag, 6),
-            }
+            {"node": nodes[joint.node], "hitRadius": round(joint.radius, 6), "stiffness": round(joint.stiffness, 6),
+             "gravityPower": round(joint.gravity, 6), "gravityDir": _numbers(joint.gravity_direction),
+             "dragForce": round(joint.drag, 6)}
             for joint in spring.joints
-        ]
+        ]  # fmt: skip
         entry: dict[str, Any] = {"name": spring.name, "joints": joints}
         if spring.groups:
             entry["colliderGroups"] = list(spring.groups)

@@ -10,7 +10,7 @@ import numpy as np
 from bunraku.core.avatars import VrmModel
 from bunraku.core.body.layout import JOINT_NAMES, engine_names
 from bunraku.core.character import Character, Handles
-from bunraku.core.files import atomic_write, check_output_folder, read_bounded
+from bunraku.core.files import check_output_folder, read_bounded
 from bunraku.core.geometry.rotations import continuous, quaternion_from_matrix
 from bunraku.core.motion import (
     HandleMotion,
@@ -22,7 +22,7 @@ from bunraku.core.motion import (
     resample_motion,
 )
 from bunraku.errors import CharacterError, FormatError, MotionError, OptionError
-from bunraku.files.gltf.carry import clip_number, free_name
+from bunraku.files.gltf.carry import clip_names, clip_number, free_name
 from bunraku.files.gltf.document import Document, GltfBuilder
 from bunraku.files.gltf.nodes import MAX_SECONDS, Curves, NodeTree, clip_curves, node_worlds, read_nodes
 from bunraku.files.gltf.open import open_document
@@ -67,9 +67,8 @@ def _bare(document: Document) -> bool:
 
 def _of_nodes(document: Document, clip: int | str, fps: float) -> SkeletalMotion:
     """A clip on the nodes of the tree that it moves most of; the rest pose is that of the nodes."""
-    clips = document.items("animations")
-    names = [str(entry.get("name") or f"animation {number}") for number, entry in enumerate(clips)]
-    tree, curves = read_nodes(document), clip_curves(document, clips[clip_number(document.path, names, clip)])
+    chosen = document.items("animations")[clip_number(document.path, clip_names(document), clip)]
+    tree, curves = read_nodes(document), clip_curves(document, chosen)
     moved = {node for node, _ in curves}
     if not moved:
         document.fail("its clip moves no node; export it again with its keys baked")
@@ -197,13 +196,7 @@ def write_vrma(motion: SkeletalMotion, path: str | Path, *, fps: float | None = 
     _add_clip(builder, motion, name or path.stem)
     bones = {VRM_BONES[joint]: {"node": node} for node, joint in enumerate(JOINT_NAMES)}
     builder.tree["extensions"] = {EXTENSION: {"specVersion": "1.0", "humanoid": {"humanBones": bones}}}
-    builder.tree["extensionsUsed"] = [EXTENSION]
-    with atomic_write(path) as file:
-        try:
-            builder.write(file)
-        except ValueError as error:
-            raise FormatError(path, f"the VRMA cannot be written ({error}); cut the motion into parts") from None
-    return path
+    return finish_document(builder, path)
 
 
 def _add_bones(builder: GltfBuilder, motion: SkeletalMotion) -> None:
@@ -215,10 +208,7 @@ def _add_bones(builder: GltfBuilder, motion: SkeletalMotion) -> None:
     positions = skeleton.positions.astype(float) - skeleton.positions[0]
     scale = leg_length(positions) / leg_length(body.joints)
     offsets[0] = [0, float(body.joints[:, 1].min()) * scale - float(positions[:, 1].min()), 0]
-    for joint, name in enumerate(skeleton.names):
-        children = [int(child) for child in np.flatnonzero(skeleton.parents == joint)]
-        node: dict[str, Any] = {"name": VRM_BONES[name], "translation": offsets[joint].astype(np.float32).tolist()}
-        builder.add("nodes", node | ({"children": children} if children else {}))
+    builder.bones([VRM_BONES[name] for name in skeleton.names], skeleton.parents, offsets.astype(np.float32))
 
 
 def _add_clip(builder: GltfBuilder, motion: SkeletalMotion, name: str) -> None:

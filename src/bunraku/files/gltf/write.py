@@ -63,11 +63,7 @@ def packed_motion(path: Path, data: bytes) -> bytes:
     extras = document.tree["asset"].get("extras")
     view = extras.get(KEY) if isinstance(extras, dict) else None
     if view is None:
-        raise FormatError(
-            path,
-            "it holds no handle motion of Bunraku (another program may have written it anew); make one with `bunraku "
-            "animate`",
-        )
+        raise FormatError(path, "it holds no handle motion of Bunraku; make one with `bunraku animate`")
     return bytes(document.view(view))
 
 
@@ -76,28 +72,20 @@ def clip_handles(path: Path, character: Character) -> Handles:
     joints are others.
     """
     rig = character.rig
-    roles = [_role(name) for name in rig.names] if rig is not None else []
-    if rig is None or len(rig.names) != len(HANDLE_NAMES) or None in roles:
-        raise FormatError(
-            path,
-            f"its joints are not the {len(HANDLE_NAMES)} handles of Bunraku; animate the character anew with `bunraku "
-            "animate`",
-        )
-    handles = [
-        HANDLE_NAMES.index(name) if name in HANDLE_NAMES else -1 for name in rig.names
-    ]  # -1 plays the part of another
+    parts = [_role(name) for name in rig.names] if rig is not None else []
+    if rig is None or len(rig.names) != len(HANDLE_NAMES) or None in parts:
+        count = len(HANDLE_NAMES)
+        raise FormatError(path, f"its joints are not the {count} handles of Bunraku; animate the character anew")
+    # -1 plays the part of another.
+    handles = [HANDLE_NAMES.index(name) if name in HANDLE_NAMES else -1 for name in rig.names]
     free = iter(sorted(set(range(len(handles))) - set(handles)))
     order = np.argsort([next(free) if slot < 0 else slot for slot in handles])
     weights = rig.dense_weights()[:, order]
     weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1e-9)
-    played = np.array(roles, np.int64)[order]
+    played = np.array(parts, np.int64)[order]
     rigid = _rigid(character) and weights.max(axis=1).min() > 0.999
-    return Handles(
-        rig.positions[order],
-        weights,
-        roles=None if np.array_equal(played, np.arange(len(played))) else played,
-        rigid=bool(rigid),
-    )
+    roles = None if np.array_equal(played, np.arange(len(played))) else played
+    return Handles(rig.positions[order], weights, roles=roles, rigid=bool(rigid))
 
 
 def _rigid(character: Character) -> bool:
@@ -202,7 +190,7 @@ def joint_attributes(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def document_of(character: Character) -> Source:
     """The character's document, or one made of its arrays where it has none that fits."""
     source = character.source
-    if isinstance(source, Source) and len(source.index) and int(source.index.max()) + 1 == len(character.vertices):
+    if isinstance(source, Source) and source.fits(character):
         return source
     colors = None if character.colors is None else linear_from_srgb(character.colors / 255.0)
     material = matte_material(character.name, doubleSided=True)
@@ -271,10 +259,8 @@ def _add_part(
     stored = (inverse @ transform).transpose(0, 2, 1).reshape(-1, 16).astype(np.float32)
     key = stored.tobytes()
     if key not in skins:
-        skins[key] = builder.add(
-            "skins",
-            {"name": "handles", "joints": joints, "skeleton": joints[0], "inverseBindMatrices": builder.array(stored)},
-        )
+        skin = {"name": "handles", "joints": joints, "skeleton": joints[0]}
+        skins[key] = builder.add("skins", {**skin, "inverseBindMatrices": builder.array(stored)})
     node["skin"] = skins[key]
     return builder.add("nodes", node)
 

@@ -46,9 +46,8 @@ class Shapes:
     def offsets(self, count: int) -> np.ndarray:
         """Displacements in each of `count` frames [m], shape (N, M, 3)."""
         weights = np.stack([np.interp(np.arange(count), self.frames, column) for column in self.weights.T], axis=1)
-        return np.asarray(
-            (weights.astype(np.float32) @ self.shapes.reshape(len(self.shapes), -1)).reshape(count, -1, 3)
-        )
+        mixed = weights.astype(np.float32) @ self.shapes.reshape(len(self.shapes), -1)
+        return np.asarray(mixed.reshape(count, -1, 3))
 
 
 def key_shapes(offsets: np.ndarray, tolerance: float) -> Shapes:
@@ -108,11 +107,8 @@ def mixed_shapes(offsets: np.ndarray, tolerance: float) -> Shapes:
     least, span = mix.min(axis=0), np.ptp(mix, axis=0)
     shapes = np.concatenate([(middle + least @ basis[:low])[None], span[:, None] * basis[:low]])
     weights = np.concatenate([np.ones((count, 1)), (mix - least) / np.maximum(span, 1e-30)], axis=1)
-    return Shapes(
-        shapes.reshape(len(shapes), -1, 3).astype(np.float32),
-        np.arange(count),
-        np.clip(weights, 0, 1).astype(np.float32),
-    )
+    shapes = shapes.reshape(len(shapes), -1, 3).astype(np.float32)
+    return Shapes(shapes, np.arange(count), np.clip(weights, 0, 1).astype(np.float32))
 
 
 TOLERANCE = 5e-4  # of the character's height
@@ -189,8 +185,7 @@ def fitted_points(moved: PointAnimation, tolerance: float | None = None, shapes:
         fitted = _with_bones(moved, moving, where, 0.95 * limit, None if found is None else found.size)
         if fitted is None and shapes == "bones":
             raise OptionError(
-                f"{MOST_BONES} bones do not come within {limit:.4g} m of this movement; give a larger tolerance or "
-                "take shapes='mixed'"
+                f"{MOST_BONES} bones do not come within {limit:.4g} m; raise the tolerance or take shapes='mixed'"
             )
         baked, found = (fitted, None) if fitted is not None else (baked, found)
     names = tuple(_bone_name(moved.animation.handles, number, count) for number in range(len(baked.handles.positions)))
@@ -358,10 +353,7 @@ def _targets(builder: GltfBuilder, group: GroupShapes) -> list[dict[str, int]]:
         if len(rows) < total:
             low, high = np.minimum(low, 0), np.maximum(high, 0)
         entry: dict[str, Any] = {**ZERO, "count": total, "min": low.tolist(), "max": high.tolist()}
-        entry["sparse"] = {
-            "count": len(rows),
-            "indices": where,
-            "values": {"bufferView": builder.view(values.tobytes())},
-        }
+        stored = {"bufferView": builder.view(values.tobytes())}
+        entry["sparse"] = {"count": len(rows), "indices": where, "values": stored}
         out.append({"POSITION": builder.zeros(entry)})
     return out

@@ -13,11 +13,10 @@ import numpy as np
 from bunraku.core.animation import Animation, RigAnimation
 from bunraku.core.avatars import VrmModel
 from bunraku.core.body.layout import BESIDE, handle_names
-from bunraku.core.character import Character, Handles, Rig, top_influences
+from bunraku.core.character import Character, Handles, Rig, check_weighed, top_influences, written_rig
 from bunraku.core.files import check_output_folder
 from bunraku.core.geometry.rotations import Resampling, continuous, nearest_rotation, quaternion_from_matrix
 from bunraku.core.motion import checked_fps
-from bunraku.errors import CharacterError
 from bunraku.files.gltf.carry import MeshCarrier, carry_clips, carry_images, carry_tree
 from bunraku.files.gltf.document import ARRAY_BUFFER, GltfBuilder
 from bunraku.files.gltf.mesh import MeshPart
@@ -168,17 +167,14 @@ def write_character(
     weigh another number of vertices, or there is no rig to write.
     """
     if rig:
-        if character.rig is None:
-            raise CharacterError(f"{character.name}: there is no rig to write; make one with `bunraku.with_skeleton`")
+        written_rig(character)
         check_output_folder(path)
         builder, nodes = plain_rig(character)
         if avatar is not None:
             add_spring_extras(builder.tree, avatar, nodes)
         return finish_document(builder, path)
-    if handles is not None and len(handles.weights) != len(character.vertices):
-        raise CharacterError(
-            f"the handles weigh {len(handles.weights)} vertices but {character.name} has {len(character.vertices)}"
-        )
+    if handles is not None:
+        check_weighed(character, handles)
     return finish_document(build_document(character, handles, path)[0], path)
 
 
@@ -186,12 +182,7 @@ def _fits(source: Source, character: Character) -> bool:
     """Whether the document's joints are the rig's bones."""
     rig = character.rig
     assert rig is not None
-    return (
-        len(source.skins.nodes) == len(rig.names)
-        and source.moved is None
-        and len(source.index) > 0
-        and int(source.index.max()) + 1 == len(character.vertices)
-    )
+    return len(source.skins.nodes) == len(rig.names) and source.moved is None and source.fits(character)
 
 
 def _own_rig(source: Source) -> tuple[GltfBuilder, list[int]]:
@@ -212,7 +203,7 @@ def _own_rig(source: Source) -> tuple[GltfBuilder, list[int]]:
             key: copy.deepcopy(skin[key]) for key in ("name", "joints", "skeleton", "extras") if key in skin
         }
         if "inverseBindMatrices" in skin:
-            entry["inverseBindMatrices"] = builder.array(matrices.transpose(0, 2, 1).reshape(-1, 16).astype(np.float32))
+            entry["inverseBindMatrices"] = builder.matrices(matrices)
         builder.add("skins", entry)
     for node in tree.get("nodes", []):
         if isinstance(node.get("extensions"), dict):
@@ -258,15 +249,12 @@ def _above_all(source: Source, builder: GltfBuilder) -> np.ndarray:
     if not np.array_equal(turn, np.eye(4)):
         nodes = builder.tree["nodes"]
         for scene in builder.tree.get("scenes", []):
-            free = [
-                node for node in scene.get("nodes", []) if "skin" in nodes[node] and not nodes[node].get("children")
-            ]
-            below = [node for node in scene.get("nodes", []) if node not in free]
+            listed = scene.get("nodes", [])
+            free = [node for node in listed if "skin" in nodes[node] and not nodes[node].get("children")]
+            below = [node for node in listed if node not in free]
             if below:
-                scene["nodes"] = [
-                    *free,
-                    builder.add("nodes", {"name": "upright", "matrix": turn.T.reshape(-1).tolist(), "children": below}),
-                ]
+                entry = {"name": "upright", "matrix": turn.T.reshape(-1).tolist(), "children": below}
+                scene["nodes"] = [*free, builder.add("nodes", entry)]
     return np.asarray(turn @ front_matrix(source.document))
 
 
@@ -352,24 +340,15 @@ def _influences(builder: GltfBuilder, joints: np.ndarray, weights: np.ndarray, s
 
 def plain_rig(character: Character) -> tuple[GltfBuilder, list[int]]:
     """The meshes with one skin of the rig, whose bones rotate in the world's axes at rest; and the bones' nodes."""
-    rig = character.rig
-    assert rig is not None
-    source = document_of(character)
+    rig, source = written_rig(character), document_of(character)
     builder = GltfBuilder(drop_clip(carry_tree(source.document)))
     carry_images(source.document, builder)
     rest = rig.positions
-    for bone, label in enumerate(rig.names):
-        parent = int(rig.parents[bone])
-        number = rest[bone] - (rest[parent] if parent >= 0 else 0)
-        entry: dict[str, Any] = {"name": label, "translation": number.astype(np.float32).tolist()}
-        children = [int(child) for child in np.flatnonzero(rig.parents == bone)]
-        builder.add("nodes", {**entry, "children": children} if children else entry)
-    nodes = list(range(len(rest)))
+    offsets = rest - np.where(rig.parents[:, None] >= 0, rest[rig.parents], 0)
+    nodes = builder.bones(rig.names, rig.parents, offsets.astype(np.float32))
     inverse = np.tile(np.eye(4), (len(rest), 1, 1))
-    inverse[:, 3, :3] = -rest  # column after column
-    skin = builder.add(
-        "skins", {"joints": nodes, "inverseBindMatrices": builder.array(inverse.reshape(-1, 16).astype(np.float32))}
-    )
+    inverse[:, :3, 3] = -rest
+    skin = builder.add("skins", {"joints": nodes, "inverseBindMatrices": builder.matrices(inverse)})
     carrier = MeshCarrier(source, builder)
     roots = [bone for bone in nodes if rig.parents[bone] < 0]
     slots = np.arange(len(rest))

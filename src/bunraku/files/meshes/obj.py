@@ -18,6 +18,7 @@ import numpy as np
 from bunraku.core.character import Character
 from bunraku.core.files import check_output_folder, check_text, path_inside, read_bounded, share_file, writing
 from bunraku.core.geometry.axes import FileFrame
+from bunraku.core.geometry.surface import unit_normals
 from bunraku.core.motion import checked_fps
 from bunraku.errors import FormatError
 from bunraku.files.gltf.carry import image_type
@@ -56,9 +57,8 @@ def fans(corners: np.ndarray, sizes: np.ndarray, materials: np.ndarray) -> tuple
     face = np.repeat(np.arange(len(sizes)), counts)
     starts = (np.cumsum(sizes) - sizes)[face]
     step = np.arange(len(face)) - (np.cumsum(counts) - counts)[face]
-    return np.stack([corners[starts], corners[starts + step + 1], corners[starts + step + 2]], axis=1).reshape(
-        -1, 3
-    ), materials[face]
+    out = np.stack([corners[starts], corners[starts + step + 1], corners[starts + step + 2]], axis=1)
+    return out.reshape(-1, 3), materials[face]
 
 
 _OPTION_ARGUMENTS = {"-s": 3, "-o": 3, "-t": 3, "-mm": 2} | dict.fromkeys(
@@ -199,23 +199,17 @@ def read_obj(path: Path, data: bytes) -> Character:
     ):
         low = 0 if column == 0 else -1
         if len(corners) and not low <= int(corners[:, column].min()) <= int(corners[:, column].max()) < have:
-            raise FormatError(
-                path, f"a face uses {kind} {int(corners[:, column].max()) + 1} but there are {have}; {BROKEN}"
-            )
+            worst = int(corners[:, column].max()) + 1
+            raise FormatError(path, f"a face uses {kind} {worst} but there are {have}; {BROKEN}")
     slots, index, corner_of = split_corners(corners, len(positions))
     triangles, material = fans(slots[of_face], sizes, face_material)
     names, materials, images = read_materials(path, lines.libraries, lines.materials)
     groups = [(triangles[material == number], names.get(name)) for number, name in enumerate(lines.materials)]
     document = mesh_document(
-        path,
-        positions[index],
-        groups,
-        normals=_unit_normals(normals, corners, corner_of),
-        uvs=_corner_uvs(uvs, corners, corner_of),
-        colors=None if colors is None else colors[index],
-        materials=materials,
-        images=images,
-    )
+        path, positions[index], groups, normals=_corner_normals(normals, corners, corner_of),
+        uvs=_corner_uvs(uvs, corners, corner_of), colors=None if colors is None else colors[index],
+        materials=materials, images=images,
+    )  # fmt: skip
     return character_from_document(document, path.stem, index if len(positions) else None, ".obj")
 
 
@@ -270,10 +264,8 @@ class _Lines:
         if any(b"#" in face for face in faces):
             faces = [face.split(b"#")[0] for face in faces]
         if self.counts:
-            faces = [
-                b" ".join(self._absolute(c, counts) for c in face.split())
-                for face, counts in zip(faces, self.counts, strict=True)
-            ]
+            pairs = zip(faces, self.counts, strict=True)
+            faces = [b" ".join(self._absolute(corner, counts) for corner in face.split()) for face, counts in pairs]
         sizes = np.fromiter((len(face.split()) for face in faces), np.int64, len(faces))
         flat = b" ".join(faces).split()
         numbers = {corner: number for number, corner in enumerate(dict.fromkeys(flat))}
@@ -342,14 +334,12 @@ def _corner_uvs(uvs: np.ndarray, corners: np.ndarray, corner_of: np.ndarray) -> 
     return out
 
 
-def _unit_normals(normals: np.ndarray, corners: np.ndarray, corner_of: np.ndarray) -> np.ndarray | None:
+def _corner_normals(normals: np.ndarray, corners: np.ndarray, corner_of: np.ndarray) -> np.ndarray | None:
     if not len(normals) or not len(corners) or (corners[:, 2] < 0).any():
         return None
     out: np.ndarray[Any, Any] = np.tile([0.0, 1, 0], (len(corner_of), 1))
     has = corner_of >= 0
-    unit = np.nan_to_num(normals[corners[corner_of[has], 2]])
-    length = np.linalg.norm(unit, axis=1, keepdims=True)
-    out[has] = np.where(length > 1e-12, unit / np.where(length > 1e-12, length, 1), [0, 1, 0])
+    out[has] = unit_normals(normals[corners[corner_of[has], 2]])
     return out
 
 
@@ -415,10 +405,9 @@ def _write(animation: Animation | PointAnimation, path: Path, fps: float | None,
             temporary = tempfile.mkdtemp(prefix=f".{path.stem[:100]}.", suffix=".tmp", dir=path.parent)
             digits = max(4, len(str(frames - 1)))
             for start in range(0, frames, 16):
-                for offset, vertices in enumerate(moved.vertices(slice(start, start + 16))):
-                    Path(temporary, f"{path.stem}_{start + offset:0{digits}d}{path.suffix}").write_bytes(
-                        frame(np.ascontiguousarray(axes.points(vertices)))
-                    )
+                for number, vertices in enumerate(moved.vertices(slice(start, start + 16)), start):
+                    file = Path(temporary, f"{path.stem}_{number:0{digits}d}{path.suffix}")
+                    file.write_bytes(frame(np.ascontiguousarray(axes.points(vertices))))
             share_file(Path(temporary), 0o777)
             if folder.exists():
                 shutil.rmtree(folder)
@@ -438,8 +427,6 @@ def check_sequence(path: Path) -> Path:
     if not folder.exists():
         return folder
     pattern = re.compile(re.escape(path.stem) + r"_\d{4,}" + re.escape(path.suffix))
-    if not folder.is_dir() or any(
-        not pattern.fullmatch(entry.name) or not entry.is_file() for entry in folder.iterdir()
-    ):
+    if not folder.is_dir() or not all(pattern.fullmatch(each.name) and each.is_file() for each in folder.iterdir()):
         raise FormatError(path, f"{folder} exists and holds other files; choose another name for the sequence")
     return folder

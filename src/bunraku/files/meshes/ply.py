@@ -19,9 +19,8 @@ from bunraku.files.meshes.obj import BROKEN, embeddable, fans, parse_numbers
 
 _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
-    "uint16": "u2",
-    "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4", "double": "f8",
-    "float64": "f8",
+    "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
+    "double": "f8", "float64": "f8",
 }  # fmt: skip
 
 
@@ -41,8 +40,7 @@ def read_ply(path: Path, data: bytes) -> Character:
     triangles = np.zeros((0, 3), np.int64)
     if kind == "ascii":
         check_text(path, data)
-    binary = ">" if kind == "binary_big_endian" else "<"
-    reader = _Text(path, body) if kind == "ascii" else _Binary(path, body, binary)
+    reader = _Body(path, body, {"ascii": "ascii", "binary_big_endian": ">"}.get(kind, "<"))
     for element in elements:
         lists = [entry for entry in element.properties if entry[2]]
         if not lists:
@@ -72,19 +70,13 @@ def _document(path: Path, vertices: dict[str, np.ndarray], triangles: np.ndarray
     normals, uvs = columns(("nx", "ny", "nz")), columns(("s", "t"), ("u", "v"), ("texture_u", "texture_v"))
     colors = columns(("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
     if colors is not None:
-        scale = (
-            np.iinfo(colors.dtype).max
-            if colors.dtype.kind in "iu"
-            else (255.0 if np.nan_to_num(colors).max(initial=0) > 1 else 1.0)
-        )
+        scale = 255.0 if np.nan_to_num(colors).max(initial=0) > 1 else 1.0
+        if colors.dtype.kind in "iu":
+            scale = np.iinfo(colors.dtype).max
         colors = linear_from_srgb(np.clip(np.nan_to_num(colors.astype(float)) / scale, 0, 1))
     if normals is not None:
         length = np.linalg.norm(normals.astype(float), axis=1, keepdims=True)
-        normals = (
-            normals / np.where(length > 1e-12, length, 1)
-            if np.isfinite(length).all() and (length > 1e-12).all()
-            else None
-        )
+        normals = normals / length if np.isfinite(length).all() and (length > 1e-12).all() else None
     if uvs is not None:
         uvs = np.nan_to_num(np.stack([uvs[:, 0], 1 - uvs[:, 1]], axis=1))
     target = path_inside(path.parent, texture) if texture and uvs is not None else None
@@ -139,138 +131,96 @@ def _wanted(element: _Element) -> int:
     return next((k for k, name in enumerate(names) if name in ("vertex_indices", "vertex_index")), 0)
 
 
-def _short(path: Path) -> FormatError:
-    return FormatError(path, f"it ends before its last element; {BROKEN}")
+class _Body:
+    """The elements of a file behind its header, in bytes of a byte order; those of a text are its numbers as float64,
+    whatever types the header names.
+    """
 
-
-class _Binary:
     def __init__(self, path: Path, body: bytes, order: str):
         self.path, self.body, self.at, self.order = path, body, 0, order
+        self.text = order == "ascii"
+        if self.text:
+            try:
+                self.body, self.order = parse_numbers(body.split()).tobytes(), "="
+            except ValueError:
+                raise FormatError(path, f"it holds something that is not a number; {BROKEN}") from None
+
+    def _type(self, name: str) -> np.dtype:
+        return np.dtype(self.order + ("f8" if self.text else name))
+
+    def _room(self, size: int) -> None:
+        """Raise FormatError unless so many bytes are left."""
+        if size > len(self.body) - self.at:
+            raise FormatError(self.path, f"it ends before its last element; {BROKEN}")
+
+    def _length(self, kind: np.dtype) -> int:
+        """The length of a list, which begins here."""
+        self._room(kind.itemsize)
+        length = np.frombuffer(self.body, kind, 1, self.at)[0]
+        self.at += kind.itemsize
+        if not 0 <= length <= len(self.body):
+            self._room(len(self.body) + 1)
+        return int(length)
 
     def scalars(self, element: _Element) -> dict[str, np.ndarray]:
         """Columns of an element without lists."""
-        names = [f"{k}" for k in range(len(element.properties))]
-        dtype = np.dtype([(name, self.order + entry[1]) for name, entry in zip(names, element.properties, strict=True)])
-        if element.count * dtype.itemsize > len(self.body) - self.at:
-            raise _short(self.path)
+        dtype = np.dtype([(f"{k}", self._type(kind)) for k, (_, kind, _) in enumerate(element.properties)])
+        self._room(element.count * dtype.itemsize)
         rows = np.frombuffer(self.body, dtype, element.count, self.at) if dtype.itemsize else np.zeros(0, dtype)
         self.at += element.count * dtype.itemsize
-        return {
-            entry[0]: rows[name].astype(rows[name].dtype.newbyteorder("="))
-            for name, entry in zip(names, element.properties, strict=True)
-        }
+        with np.errstate(invalid="ignore"):
+            return {name: rows[f"{k}"].astype(kind) for k, (name, kind, _) in enumerate(element.properties)}
 
     def lists(self, element: _Element) -> tuple[np.ndarray, np.ndarray]:
         """The vertex lists of an element, end to end, and the length of each."""
-        least = sum(np.dtype(length or kind).itemsize for _, kind, length in element.properties)
-        if element.count * least > len(self.body) - self.at:
-            raise _short(self.path)
-        return self._uniform(element) or self._walk(element)
+        self._room(element.count * sum(self._type(length or kind).itemsize for _, kind, length in element.properties))
+        flat, sizes = self._uniform(element) or self._walk(element)
+        if flat.dtype.kind == "f":
+            flat = np.where(np.abs(flat) < 2**40, flat, -1)
+        return flat.astype(np.int64), sizes
 
     def _uniform(self, element: _Element) -> tuple[np.ndarray, np.ndarray] | None:
         """All rows at once where every list is as long as in the first row, as in nearly all files."""
         if not element.count:
             return np.zeros(0, np.int64), np.zeros(0, np.int64)
         fields: list[tuple] = []
-        at, wanted, lists = self.at, "", 0
+        start, wanted = self.at, [number for number, entry in enumerate(element.properties) if entry[2]]
         for number, (_, kind, length) in enumerate(element.properties):
-            if length is None:
-                fields.append((f"v{number}", self.order + kind))
-                at += np.dtype(kind).itemsize
-                continue
-            width = np.dtype(length).itemsize
-            if at + width > len(self.body):
-                raise _short(self.path)
-            size = int(np.frombuffer(self.body, self.order + length, 1, at)[0])
-            if not 0 <= size <= 4096:
-                return None
-            fields += [(f"n{number}", self.order + length), (f"v{number}", self.order + kind, (size,))]
-            at += width + size * np.dtype(kind).itemsize
-            if lists == _wanted(element):
-                wanted = f"{number}"
-            lists += 1
-        dtype = np.dtype(fields)
-        if element.count * dtype.itemsize > len(self.body) - self.at:
+            size = 1
+            if length is not None:
+                size = self._length(self._type(length))
+                fields.append((f"n{number}", self._type(length)))
+            if size > 4096:
+                break
+            fields.append((f"v{number}", self._type(kind), (size,)))
+            self.at += size * self._type(kind).itemsize
+        self.at, dtype = start, np.dtype(fields)
+        if (
+            len(fields) < len(element.properties) + len(wanted)
+            or element.count * dtype.itemsize > len(self.body) - start
+        ):
             return None
-        rows = np.frombuffer(self.body, dtype, element.count, self.at)
+        rows = np.frombuffer(self.body, dtype, element.count, start)
         if any((rows[name] != rows[name][0]).any() for name in dtype.names or () if name[0] == "n"):
             return None
         self.at += element.count * dtype.itemsize
-        return rows[f"v{wanted}"].astype(np.int64).reshape(-1), rows[f"n{wanted}"].astype(np.int64)
+        chosen = wanted[_wanted(element)]
+        return rows[f"v{chosen}"].reshape(-1), rows[f"n{chosen}"].astype(np.int64)
 
     def _walk(self, element: _Element) -> tuple[np.ndarray, np.ndarray]:
-        flat, sizes, at, chosen = [], [], self.at, _wanted(element)
-        plan = [
-            (np.dtype(self.order + kind), None if length is None else np.dtype(self.order + length))
-            for _, kind, length in element.properties
-        ]
+        flat, sizes, chosen = [], [], _wanted(element)
+        plan = [(self._type(kind), self._type(length) if length else None) for _, kind, length in element.properties]
         for _ in range(element.count):
             lists = 0
             for kind, length in plan:
-                if length is None:
-                    at += kind.itemsize
-                    continue
-                if at + length.itemsize > len(self.body):
-                    raise _short(self.path)
-                size = int(np.frombuffer(self.body, length, 1, at)[0])
-                at += length.itemsize
-                if size < 0 or size * kind.itemsize > len(self.body) - at:
-                    raise _short(self.path)
-                if lists == chosen:
-                    flat.append(np.frombuffer(self.body, kind, size, at))
+                size = 1 if length is None else self._length(length)
+                self._room(size * kind.itemsize)
+                if length is not None and lists == chosen:
+                    flat.append(np.frombuffer(self.body, kind, size, self.at))
                     sizes.append(size)
-                at += size * kind.itemsize
-                lists += 1
-        self.at = at
-        return np.concatenate(flat).astype(np.int64) if flat else np.zeros(0, np.int64), np.array(sizes, np.int64)
-
-
-class _Text:
-    def __init__(self, path: Path, body: bytes):
-        self.path, self.at = path, 0
-        try:
-            self.values = parse_numbers(body.split())
-        except ValueError:
-            raise FormatError(path, f"it holds something that is not a number; {BROKEN}") from None
-
-    def scalars(self, element: _Element) -> dict[str, np.ndarray]:
-        """Columns of an element without lists."""
-        width = len(element.properties)
-        if element.count * width > len(self.values) - self.at:
-            raise _short(self.path)
-        rows = self.values[self.at : self.at + element.count * width].reshape(element.count, width)
-        self.at += element.count * width
-        with np.errstate(invalid="ignore"):
-            return {name: rows[:, k].astype(kind) for k, (name, kind, _) in enumerate(element.properties)}
-
-    def lists(self, element: _Element) -> tuple[np.ndarray, np.ndarray]:
-        """The vertex lists of an element, end to end, and the length of each."""
-        if element.count * len(element.properties) > len(self.values) - self.at:
-            raise _short(self.path)
-        chosen, starts, sizes, at = _wanted(element), [], [], self.at
-        for _ in range(element.count):
-            lists = 0
-            for _, _, length in element.properties:
-                if length is None:
-                    at += 1
-                    continue
-                if at >= len(self.values) or not 0 <= self.values[at] <= len(self.values):
-                    raise _short(self.path)
-                size = int(self.values[at])
-                if lists == chosen:
-                    starts.append(at + 1)
-                    sizes.append(size)
-                at += 1 + size
-                lists += 1
-        if at > len(self.values):
-            raise _short(self.path)
-        self.at = at
-        count = np.array(sizes, np.int64)
-        if int(count.sum()) > len(self.values):
-            raise _short(self.path)
-        where = np.repeat(np.array(starts, np.int64) - (np.cumsum(count) - count), count) + np.arange(int(count.sum()))
-        values = self.values[where]
-        return np.where(np.abs(values) < 2**40, values, -1).astype(np.int64), count
+                lists += length is not None
+                self.at += size * kind.itemsize
+        return np.concatenate(flat) if flat else np.zeros(0, np.int64), np.array(sizes, np.int64)
 
 
 _RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -282,11 +232,8 @@ def read_stl(path: Path, data: bytes) -> Character:
     is no character.
     """
     count = struct.unpack_from("<I", data, 80)[0] if len(data) >= 84 else 0
-    text = (
-        data[:512].lstrip().lower().startswith(b"solid")
-        and b"facet" in data[:4096].lower()
-        and len(data) != 84 + 50 * count
-    )
+    start = data[:4096].lower()
+    text = start.lstrip().startswith(b"solid") and b"facet" in start and len(data) != 84 + 50 * count
     if text:
         check_text(path, data)
     corners = _text(path, data) if text else _binary(path, data, count)

@@ -12,8 +12,16 @@ import numpy as np
 
 from bunraku.core.avatars import MmdBone
 from bunraku.core.files import path_inside
+from bunraku.core.geometry.surface import unit_normals
 from bunraku.files.gltf.colors import linear_from_srgb
-from bunraku.files.gltf.document import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, Document, GltfBuilder, matte_material
+from bunraku.files.gltf.document import (
+    ARRAY_BUFFER,
+    Document,
+    GltfBuilder,
+    matte_material,
+    triangle_primitives,
+    vertex_attributes,
+)
 from bunraku.files.meshes.obj import embeddable
 
 LIGHT = 154 / 255
@@ -49,29 +57,13 @@ def model_document(
     positions, normals, uvs, triangles = mesh
     names = name or path.stem
     builder.tree["materials"] = _materials(path, materials, builder, note)
-    attributes = {}
-    if len(positions):
-        attributes["POSITION"] = builder.array(
-            positions.astype(np.float32), ARRAY_BUFFER, bounds=bool(np.isfinite(positions).all())
-        )
-        attributes["NORMAL"] = builder.array(_unit(normals).astype(np.float32), ARRAY_BUFFER)
-        attributes["TEXCOORD_0"] = builder.array(np.nan_to_num(uvs).astype(np.float32), ARRAY_BUFFER)
-        if bones:
-            attributes["JOINTS_0"] = builder.array(skin[0].astype("<u2"), ARRAY_BUFFER)
-            attributes["WEIGHTS_0"] = builder.array(skin[1].astype(np.float32), ARRAY_BUFFER)
-    primitives: list[dict[str, Any]] = []
-    kind, start = ("<u2" if len(positions) < 65535 else "<u4"), 0
-    for number, corners in enumerate([*(max(material.corners, 0) // 3 for material in materials), len(triangles)]):
-        chosen = triangles[start : start + corners]
-        start += corners
-        if len(chosen) and attributes:
-            primitive: dict[str, Any] = {"attributes": attributes, "mode": 4}
-            primitive["indices"] = builder.array(
-                np.ascontiguousarray(chosen).reshape(-1, 1).astype(kind), ELEMENT_ARRAY_BUFFER
-            )
-            primitives.append(primitive | ({"material": number} if number < len(materials) else {}))
-    if not primitives and attributes:
-        primitives = [{"attributes": attributes, "mode": 0}]
+    attributes = vertex_attributes(builder, positions, unit_normals(normals), np.nan_to_num(uvs))
+    if attributes and bones:
+        attributes["JOINTS_0"] = builder.array(skin[0].astype("<u2"), ARRAY_BUFFER)
+        attributes["WEIGHTS_0"] = builder.array(skin[1].astype(np.float32), ARRAY_BUFFER)
+    ends = np.cumsum([max(material.corners, 0) // 3 for material in materials]).astype(int)
+    parts = zip(np.split(triangles, ends), [*range(len(materials)), None], strict=True)
+    primitives = triangle_primitives(builder, attributes, len(positions), parts)
     builder.tree["meshes"] = [{"name": names, "primitives": primitives}]
     node: dict[str, Any] = {"name": names, "mesh": 0}
     builder.add("nodes", node)
@@ -84,30 +76,15 @@ def model_document(
     return builder.document(path)
 
 
-def _unit(normals: np.ndarray) -> np.ndarray:
-    normals = np.nan_to_num(normals, posinf=0, neginf=0)
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.where(length > 1e-12, normals / np.where(length > 1e-12, length, 1), [0.0, 1, 0])
-
-
 def _add_skin(builder: GltfBuilder, bones: Sequence[MmdBone]) -> None:
     """Nodes of the bones under one for the skeleton, and the skin that binds the mesh to them."""
-    first = 2
-    below: dict[int, list[int]] = {}
-    for index, bone in enumerate(bones):
-        below.setdefault(bone.parent, []).append(first + index)
-    builder.add("nodes", {"name": "bones", "children": below[-1]})
-    for index, bone in enumerate(bones):
-        offset = bone.position - (bones[bone.parent].position if bone.parent >= 0 else 0)
-        node = {"name": bone.name or f"bone_{index}", "translation": offset.tolist()}
-        builder.add("nodes", node | ({"children": below[index]} if index in below else {}))
+    parents, heads = [bone.parent for bone in bones], np.array([bone.position for bone in bones])
+    offsets = heads - np.where(np.array(parents)[:, None] >= 0, heads[parents], 0)
+    builder.add("nodes", {"name": "bones", "children": [2 + bone for bone, parent in enumerate(parents) if parent < 0]})
+    joints = builder.bones([bone.name or f"bone_{index}" for index, bone in enumerate(bones)], parents, offsets)
     inverse = np.tile(np.eye(4), (len(bones), 1, 1))
-    inverse[:, :3, 3] = [-bone.position for bone in bones]
-    stored = inverse.transpose(0, 2, 1).reshape(-1, 16).astype(np.float32)
-    builder.add(
-        "skins",
-        {"joints": list(range(first, first + len(bones))), "skeleton": 1, "inverseBindMatrices": builder.array(stored)},
-    )
+    inverse[:, :3, 3] = -heads
+    builder.add("skins", {"joints": joints, "skeleton": 1, "inverseBindMatrices": builder.matrices(inverse)})
 
 
 def _materials(
@@ -143,11 +120,10 @@ def _texture(
     target = _whatever_case(path.parent, target)
     if target not in images:
         image = embeddable(target) if os.path.isfile(target) else None
-        images[target] = (
-            None
-            if image is None
-            else (builder.add("textures", {"source": builder.image(*image)}), _transparent(image[0]))
-        )
+        images[target] = None
+        if image is not None:
+            texture = builder.add("textures", {"source": builder.image(*image)})
+            images[target] = texture, _transparent(image[0])
     if images[target] is None:
         note("textures are missing or cannot be read; their materials are plain", name)
     return images[target]

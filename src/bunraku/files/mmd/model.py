@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import logging
-import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NoReturn
 
 import numpy as np
 
@@ -30,87 +28,7 @@ from bunraku.core.character import Character
 from bunraku.errors import FormatError
 from bunraku.files.gltf.read import character_from_document
 from bunraku.files.mmd.document import MmdMaterial, model_document
-from bunraku.files.mmd.vmd import fixed_text
-
-_AGAIN = "save the model again"
-
-
-class MmdReader:
-    """Reads one value after the other from the bytes of a file; `encoding` is of texts with a length before them."""
-
-    def __init__(self, path: Path, data: bytes, encoding: str = "cp932"):
-        self.path = path
-        self.data = data
-        self.encoding = encoding
-        self.at = 0
-        self.section = "header"
-
-    def fail(self, problem: str) -> NoReturn:
-        """Raise the error of this file."""
-        raise FormatError(self.path, f"{problem}; {_AGAIN}")
-
-    @property
-    def left(self) -> int:
-        """How many bytes are left."""
-        return len(self.data) - self.at
-
-    def take(self, size: int) -> bytes:
-        """The next bytes."""
-        if size > self.left:
-            self.fail(f"it is cut off in its {self.section}")
-        self.at += size
-        return self.data[self.at - size : self.at]
-
-    def skip(self, size: int) -> None:
-        """Pass over some bytes."""
-        if size > self.left:
-            self.fail(f"it is cut off in its {self.section}")
-        self.at += size
-
-    def values(self, layout: str) -> tuple[Any, ...]:
-        """Values of a `struct` layout, little-endian."""
-        size = struct.calcsize("<" + layout)
-        if size > self.left:
-            self.fail(f"it is cut off in its {self.section}")
-        self.at += size
-        return struct.unpack_from("<" + layout, self.data, self.at - size)
-
-    def one(self, layout: str) -> Any:
-        """A single value."""
-        return self.values(layout)[0]
-
-    def floats(self, count: int) -> np.ndarray:
-        """Floating-point numbers, shape (count,)."""
-        return np.array(self.values(f"{count}f"), float)
-
-    def index(self, size: int) -> int:
-        """A signed index of 1, 2 or 4 bytes, -1 for none."""
-        return int(self.one({1: "b", 2: "h", 4: "i"}[size]))
-
-    def count(self, section: str, least: int, layout: str = "i") -> int:
-        """How many records of at least a size [bytes] follow in a section, as long as they fit into the file."""
-        self.section = section
-        count = int(self.one(layout))
-        if count < 0 or count * least > self.left:
-            room = self.left // max(least, 1)
-            self.fail(f"it announces {count & 0xFFFFFFFF} {section} but has room for {room}")
-        return count
-
-    def records(self, dtype: np.dtype, count: int) -> np.ndarray:
-        """Records of a fixed size, shape (count,)."""
-        return np.frombuffer(self.take(dtype.itemsize * count), dtype, count)
-
-    def text(self) -> str:
-        """A text with its length in bytes before it."""
-        size = int(self.one("i"))
-        if size < 0 or size > self.left:
-            self.fail(f"a text in its {self.section} has {size & 0xFFFFFFFF} bytes but {self.left} are left")
-        return self.take(size).decode(self.encoding, "replace").replace("\0", "")
-
-    def field(self, size: int) -> str:
-        """A text in a field of fixed size that ends with a zero byte."""
-        return fixed_text(self.take(size))
-
+from bunraku.files.mmd.vmd import AGAIN, MmdReader
 
 Note = Callable[[str, str], None]
 
@@ -243,7 +161,7 @@ def _check_mesh(path: Path, file: MmdFile) -> None:
     count = len(file.positions)
     if len(file.triangles) and not 0 <= int(file.triangles.min()) <= int(file.triangles.max()) < count:
         worst = int(file.triangles.max()) if file.triangles.max() >= count else int(file.triangles.min())
-        raise FormatError(path, f"a triangle uses vertex {worst} but there are {count}; {_AGAIN}")
+        raise FormatError(path, f"a triangle uses vertex {worst} but there are {count}; {AGAIN}")
     covered = sum(max(material.corners, 0) for material in file.materials)
     if file.materials and covered != 3 * len(file.triangles):
         file.note(f"its materials are for {covered // 3:,} of its {len(file.triangles):,} triangles")
@@ -260,7 +178,7 @@ def _check_weights(path: Path, file: MmdFile) -> tuple[np.ndarray, np.ndarray]:
     weights = np.where(np.isfinite(file.weights) & (file.weights > 0) & (indices >= 0), file.weights, 0)
     beyond = np.where(weights > 0, indices, -1).max(initial=-1)
     if beyond >= count and (count or beyond > 0):  # a model without bones weighs all to the first
-        raise FormatError(path, f"a vertex is weighted to bone {beyond} but there are {count}; {_AGAIN}")
+        raise FormatError(path, f"a vertex is weighted to bone {beyond} but there are {count}; {AGAIN}")
     for later in range(1, 4):  # glTF names a bone once for a vertex
         for earlier in range(later):
             again = (indices[:, later] == indices[:, earlier]) & (weights[:, later] > 0) & (weights[:, earlier] > 0)
@@ -269,9 +187,8 @@ def _check_weights(path: Path, file: MmdFile) -> tuple[np.ndarray, np.ndarray]:
     total = weights.sum(axis=1, keepdims=True)
     lost = int((total[:, 0] <= 1e-9).sum())
     if lost and count:
-        file.note(
-            f"{lost:,} of its {len(indices):,} vertices are weighted to no bone; they take their neighbours' weights"
-        )
+        few = f"{lost:,} of its {len(indices):,} vertices"
+        file.note(f"{few} are weighted to no bone; they take their neighbours' weights")
     return np.where(weights > 0, indices, 0), weights / np.where(total > 1e-9, total, 1)
 
 
@@ -279,9 +196,9 @@ def _check_bones(path: Path, file: MmdFile) -> tuple[MmdBone, ...]:
     count, out = len(file.bones), []
     for index, bone in enumerate(file.bones):
         if not np.isfinite(bone.position).all() or np.abs(bone.position).max() > 1e6:
-            raise FormatError(path, f"bone {index} has a position that is not a number; {_AGAIN}")
+            raise FormatError(path, f"bone {index} has a position that is not a number; {AGAIN}")
         if not -1 <= bone.parent < count:
-            raise FormatError(path, f"bone {index} has the parent {bone.parent} but there are {count} bones; {_AGAIN}")
+            raise FormatError(path, f"bone {index} has the parent {bone.parent} but there are {count} bones; {AGAIN}")
         tail = file.tails.get(index)
         if tail is not None:
             there = file.bones[tail].position if 0 <= tail < count else bone.position
@@ -293,16 +210,10 @@ def _check_bones(path: Path, file: MmdFile) -> tuple[MmdBone, ...]:
             bone = replace(bone, append=None)
         ik = bone.ik
         if ik is not None:
-            good = (
-                0 <= ik.target < count
-                and all(0 <= link.bone < count and _limits(link) for link in ik.links)
-                and np.isfinite(ik.limit)
-            )
-            if not good or len(ik.links) > MAX_LINKS:
-                file.note(
-                    "bones have inverse kinematics of bones or with limits that do not exist, which are left out",
-                    bone.name,
-                )
+            good = 0 <= ik.target < count and np.isfinite(ik.limit) and len(ik.links) <= MAX_LINKS
+            if not good or not all(0 <= link.bone < count and _limits(link) for link in ik.links):
+                problem = "bones have inverse kinematics of bones or with limits that do not exist, which are left out"
+                file.note(problem, bone.name)
                 bone = replace(bone, ik=None)
             else:
                 bone = replace(bone, ik=replace(ik, loops=min(max(ik.loops, 0), MAX_LOOPS)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,38 +16,40 @@ from bunraku.files.mmd.model import (
     MAX_JOINTS,
     MmdFile,
     MmdMaterial,
-    MmdReader,
     mmd_character,
     read_body,
     read_joint,
 )
+from bunraku.files.mmd.vmd import MmdReader
 
 _MORPHS = ("group", "vertex", "bone", "uv", "uv", "uv", "uv", "uv", "material", "flip", "impulse")
 _BONES_OF = (1, 2, 4, 2, 4)  # how many bones BDEF1, BDEF2, BDEF4, SDEF and QDEF name
 _NUMBERS_OF = (0, 1, 4, 10, 4)  # and how many numbers follow
 
 
-@dataclass
-class _Sizes:
-    """Bytes of indices, and how many further UVs a vertex has."""
+class _Pmx(MmdReader):
+    """A PMX file that is being read: its sizes of indices [bytes], and what it says so far."""
 
-    uvs: int
-    vertex: int
-    texture: int
-    material: int
-    bone: int
-    morph: int
-    body: int
+    def __init__(self, path: Path, data: bytes):
+        super().__init__(path, data)
+        if self.take(4) != b"PMX ":
+            self.fail("it does not begin with 'PMX ', so it is no PMX file")
+        version = float(self.one("f"))
+        if not 1.99 < version < 2.2:
+            self.fail(f"it is of version {version:.3g}, and 2.0 and 2.1 are read")
+        head = self.take(int(self.one("B")))
+        if len(head) < 8 or head[0] > 1 or head[1] > 4 or any(size not in (1, 2, 4) for size in head[2:8]):
+            self.fail("its header names sizes that no PMX file has")
+        self.encoding = "utf-8" if head[0] else "utf-16-le"
+        self.uvs, self.vertex, self.texture, self.material, self.bone, self.morph, self.body = head[1:8]
+        self.out = MmdFile(f"PMX {version:.1f}", self.text(), self.text())
+        self.textures: list[str] = []
 
-
-@dataclass
-class _Read:
-    """A file that is being read."""
-
-    reader: MmdReader
-    sizes: _Sizes
-    out: MmdFile
-    textures: list[str] = field(default_factory=list)
+    def named(self) -> str:
+        """A name, with its English one passed over."""
+        name = self.text()
+        self.text()
+        return name
 
 
 def read_model(path: Path, data: bytes) -> Character:
@@ -62,47 +64,31 @@ def read_pmx_file(path: Path, data: bytes) -> MmdFile:
     """What a PMX file says, its indices not checked. FormatError if it is no PMX file, is cut off, or announces more
     than it has room for.
     """
-    reader = MmdReader(path, data)
-    if reader.take(4) != b"PMX ":
-        reader.fail("it does not begin with 'PMX ', so it is no PMX file")
-    version = float(reader.one("f"))
-    if not 1.99 < version < 2.2:
-        reader.fail(f"it is of version {version:.3g}, and 2.0 and 2.1 are read")
-    globals_ = reader.take(int(reader.one("B")))
-    if len(globals_) < 8 or globals_[0] > 1 or globals_[1] > 4 or any(size not in (1, 2, 4) for size in globals_[2:8]):
-        reader.fail("its header names sizes that no PMX file has")
-    reader.encoding = "utf-8" if globals_[0] else "utf-16-le"
-    name, english = reader.text(), reader.text()
+    reader = _Pmx(path, data)
     reader.text(), reader.text()  # comments
-    read = _Read(reader, _Sizes(*globals_[1:8]), MmdFile(f"PMX {version:.1f}", name, english))
-    _vertices(read)
-    size = read.sizes.vertex
+    out, size = reader.out, reader.vertex
+    _vertices(reader)
     count = reader.count("triangle corners", size)
     corners = np.frombuffer(reader.take(count * size), {1: "u1", 2: "<u2", 4: "<i4"}[size])
-    read.out.triangles = corners[: count - count % 3].reshape(-1, 3).astype(np.int64)
-    read.textures = [reader.text() for _ in range(reader.count("textures", 4))]
-    read.out.materials = [_material(read) for _ in range(reader.count("materials", 64 + 4 * 3))]
-    count = reader.count("bones", 4 + 4 + 12 + 4 + 2 + 2)
-    if count > MAX_BONES:
-        reader.fail(f"it has {count:,} bones, and at most {MAX_BONES:,} are read")
-    read.out.bones = [_bone(read, index) for index in range(count)]
-    read.out.morphs = [_morph(read) for _ in range(reader.count("morphs", 4 + 4 + 2 + 4))]
+    out.triangles = corners[: count - count % 3].reshape(-1, 3).astype(np.int64)
+    reader.textures = [reader.text() for _ in range(reader.count("textures", 4))]
+    out.materials = [_material(reader) for _ in range(reader.count("materials", 64 + 4 * 3))]
+    count = reader.count("bones", 4 + 4 + 12 + 4 + 2 + 2, most=MAX_BONES)
+    out.bones = [_bone(reader, index) for index in range(count)]
+    out.morphs = [_morph(reader) for _ in range(reader.count("morphs", 4 + 4 + 2 + 4))]
     for _ in range(reader.count("display frames", 4 + 4 + 1 + 4)):
-        reader.text(), reader.text(), reader.one("B")
+        reader.named(), reader.one("B")
         for _ in range(int(reader.one("i"))):
-            reader.skip(read.sizes.morph if reader.one("B") else read.sizes.bone)
-    _physics(read)
-    return read.out
+            reader.skip(reader.morph if reader.one("B") else reader.bone)
+    _physics(reader)
+    return out
 
 
-def _vertices(read: _Read) -> None:
+def _vertices(reader: _Pmx) -> None:
     """Records have five sizes: one pass finds where they start, then those of a kind are read at once."""
-    reader, sizes = read.reader, read.sizes
-    head = 32 + 16 * sizes.uvs
-    count = reader.count("vertices", head + 1 + sizes.bone + 4)
-    length = [
-        head + 1 + bones * sizes.bone + 4 * numbers + 4 for bones, numbers in zip(_BONES_OF, _NUMBERS_OF, strict=True)
-    ]
+    size, head = reader.bone, 32 + 16 * reader.uvs
+    count = reader.count("vertices", head + 1 + size + 4)
+    length = [head + 1 + bones * size + 4 * numbers + 4 for bones, numbers in zip(_BONES_OF, _NUMBERS_OF, strict=True)]
     data, at, starts, end = reader.data, reader.at, np.empty(count, np.int64), len(reader.data)
     for vertex in range(count):
         starts[vertex] = at
@@ -112,22 +98,19 @@ def _vertices(read: _Read) -> None:
         at += length[kind]
     if at > end:
         reader.fail("it is cut off in its vertices")
-    raw = np.frombuffer(data, np.uint8)
-    reader.at = at
-    out = read.out
+    raw, out, reader.at = np.frombuffer(data, np.uint8), reader.out, at
     fixed = raw[starts[:, None] + np.arange(32)].view("<f4")
     out.positions, out.normals, out.uvs = fixed[:, :3].astype(float), fixed[:, 3:6].astype(float), fixed[:, 6:8]
     out.deforms = raw[starts + head]
     out.indices, out.weights = np.full((count, 4), -1, np.int64), np.zeros((count, 4))
     out.sdef = np.zeros((count, 3, 3))
-    integer = {1: "i1", 2: "<i2", 4: "<i4"}[sizes.bone]
+    integer = {1: "i1", 2: "<i2", 4: "<i4"}[size]
     for kind, (bones, numbers) in enumerate(zip(_BONES_OF, _NUMBERS_OF, strict=True)):
         chosen = np.flatnonzero(out.deforms == kind)
         first = starts[chosen, None] + head + 1
-        out.indices[chosen, :bones] = np.ascontiguousarray(raw[first + np.arange(bones * sizes.bone)]).view(integer)
-        values = (
-            np.ascontiguousarray(raw[first + bones * sizes.bone + np.arange(4 * numbers)]).view("<f4").astype(float)
-        )
+        out.indices[chosen, :bones] = np.ascontiguousarray(raw[first + np.arange(bones * size)]).view(integer)
+        stored = raw[first + bones * size + np.arange(4 * numbers)]
+        values = np.ascontiguousarray(stored).view("<f4").astype(float)
         if bones == 1:
             out.weights[chosen, 0] = 1
         elif bones == 2:
@@ -138,55 +121,48 @@ def _vertices(read: _Read) -> None:
             out.sdef[chosen] = values[:, 1:].reshape(-1, 3, 3)
 
 
-def _material(read: _Read) -> MmdMaterial:
-    reader = read.reader
-    name = reader.text() or "material"
-    reader.text()
+def _material(reader: _Pmx) -> MmdMaterial:
+    name = reader.named() or "material"
     diffuse = reader.floats(4)
     reader.skip(16)  # specular
     ambient = reader.floats(3)
     flags = reader.one("B")
     reader.skip(20)  # edge
-    texture = reader.index(read.sizes.texture)
-    reader.skip(read.sizes.texture + 1)  # sphere map
-    reader.skip(1 if reader.one("B") else read.sizes.texture)  # toon
+    texture = reader.index(reader.texture)
+    reader.skip(reader.texture + 1)  # sphere map
+    reader.skip(1 if reader.one("B") else reader.texture)  # toon
     reader.text()  # memo
-    path = read.textures[texture] if 0 <= texture < len(read.textures) else ""
+    path = reader.textures[texture] if 0 <= texture < len(reader.textures) else ""
     return MmdMaterial(name, diffuse, ambient, bool(flags & 1), path, int(reader.one("i")))
 
 
-def _bone(read: _Read, index: int) -> MmdBone:
-    reader, size = read.reader, read.sizes.bone
+def _bone(reader: _Pmx, index: int) -> MmdBone:
+    size = reader.bone
     name, english = reader.text(), reader.text()
     position = mmd_points(reader.floats(3))
     parent, layer, flags = reader.index(size), int(reader.one("i")), int(reader.one("H"))
-    tail = None
+    tail = append = local = ik = None
     if flags & 0x1:
-        read.out.tails[index] = reader.index(size)
+        reader.out.tails[index] = reader.index(size)
     else:
         tail = mmd_points(reader.floats(3))
-    append = None
     if flags & 0x300:
-        append = MmdAppend(
-            reader.index(size), float(reader.one("f")), bool(flags & 0x100), bool(flags & 0x200), bool(flags & 0x80)
-        )
+        parts = (bool(flags & part) for part in (0x100, 0x200, 0x80))
+        append = MmdAppend(reader.index(size), float(reader.one("f")), *parts)
     fixed = mmd_points(reader.floats(3)) / MMD_METRE if flags & 0x400 else None
-    local = None
     if flags & 0x800:
         x, z = mmd_points(reader.floats(3)) / MMD_METRE, -mmd_points(reader.floats(3)) / MMD_METRE
         local = np.stack([x, np.cross(z, x), z])
     if flags & 0x2000:
         reader.skip(4)  # key of an external parent
-    ik = None
     if flags & 0x20:
         target, loops, limit = reader.index(size), int(reader.one("i")), float(reader.one("f"))
         links = []
-        section = reader.section
         for _ in range(reader.count("links of inverse kinematics", size + 1)):
             bone = reader.index(size)
             limits = mmd_angles(reader.floats(3), reader.floats(3)) if reader.one("B") else (None, None)
             links.append(MmdIkLink(bone, *limits))
-        reader.section = section
+        reader.section = "bones"
         ik = MmdIk(target, loops, limit, tuple(links))
     return MmdBone(
         name, english, position, parent, layer, bool(flags & 0x1000), bool(flags & 0x2), bool(flags & 0x4), tail,
@@ -194,44 +170,33 @@ def _bone(read: _Read, index: int) -> MmdBone:
     )  # fmt: skip
 
 
-def _morph(read: _Read) -> MmdMorph:
-    reader, sizes = read.reader, read.sizes
-    name = reader.text()
-    reader.text()
+def _morph(reader: _Pmx) -> MmdMorph:
+    name = reader.named()
     _, kind = reader.values("BB")
     if kind >= len(_MORPHS):
         reader.fail(f"a morph is of kind {kind}, which PMX does not have")
-    index = {
-        "group": sizes.morph,
-        "flip": sizes.morph,
-        "bone": sizes.bone,
-        "material": sizes.material,
-        "impulse": sizes.body,
-    }
+    indices = {"group": reader.morph, "flip": reader.morph, "bone": reader.bone, "material": reader.material,
+               "impulse": reader.body}  # fmt: skip
     rest = {"group": 4, "flip": 4, "vertex": 12, "bone": 28, "uv": 16, "material": 1 + 28 * 4, "impulse": 1 + 24}
     role = _MORPHS[kind]
-    size = index.get(role, sizes.vertex) + rest[role]
-    section = reader.section
+    size = indices.get(role, reader.vertex) + rest[role]
     count = reader.count("offsets of a morph", size)
     reader.skip(count * size)
-    reader.section = section
+    reader.section = "morphs"
     return MmdMorph(name, role, count)
 
 
-def _physics(read: _Read) -> None:
-    reader, out, size = read.reader, read.out, read.sizes.body
+def _physics(reader: _Pmx) -> None:
+    out, size = reader.out, reader.body
 
     def add_body() -> None:
-        name = reader.text()
-        reader.text()
-        out.bodies.append(read_body(reader, name, reader.index(read.sizes.bone), np.zeros(3)))
+        out.bodies.append(read_body(reader, reader.named(), reader.index(reader.bone), np.zeros(3)))
 
     def add_joint() -> None:
-        name = reader.text()
-        reader.text(), reader.one("B")
+        name, _ = reader.named(), reader.one("B")
         out.joints.append(read_joint(reader, name, (reader.index(size), reader.index(size))))
 
-    sizes = 4 + 4 + read.sizes.bone + 1 + 2 + 1 + 36 + 20 + 1, 4 + 4 + 1 + 2 * size + 96
+    sizes = 4 + 4 + reader.bone + 1 + 2 + 1 + 36 + 20 + 1, 4 + 4 + 1 + 2 * size + 96
     _add_physics(reader, out, sizes, "i", (add_body, add_joint))
 
 
@@ -253,16 +218,10 @@ def _add_physics(
             read()
 
 
-_VERTEX = np.dtype(
-    [
-        ("position", "<f4", 3),
-        ("normal", "<f4", 3),
-        ("uv", "<f4", 2),
-        ("bones", "<u2", 2),
-        ("weight", "u1"),
-        ("edge", "u1"),
-    ]
-)
+_VERTEX = np.dtype([
+    ("position", "<f4", 3), ("normal", "<f4", 3), ("uv", "<f4", 2), ("bones", "<u2", 2), ("weight", "u1"),
+    ("edge", "u1"),
+])  # fmt: skip
 _NONE = 0xFFFF
 _TURNS_AND_MOVES, _IK, _TURNS_WITH, _TWIST, _TURNS_PARTLY = 1, 2, 5, 8, 9  # kinds of bones
 _STILL = (6, 7)  # targets of inverse kinematics, and hidden ones
@@ -282,10 +241,7 @@ def read_pmd_file(path: Path, data: bytes) -> MmdFile:
     reader.skip(256)
     _mesh(reader, out)
     out.materials = [_pmd_material(reader) for _ in range(reader.count("materials", 70, "I"))]
-    count = reader.count("bones", 39, "H")
-    if count > MAX_BONES:
-        reader.fail(f"it has {count:,} bones, and at most {MAX_BONES:,} are read")
-    raw = [_pmd_bone(reader, out, index) for index in range(count)]
+    raw = [_pmd_bone(reader, out, index) for index in range(reader.count("bones", 39, "H", MAX_BONES))]
     out.bones = [_twisting(bone, out.tails.get(index, -1), kind, raw) for index, (bone, kind) in enumerate(raw)]
     _inverse_kinematics(reader, out)
     for _ in range(reader.count("morphs", 25, "H")):
@@ -359,9 +315,8 @@ def _inverse_kinematics(reader: MmdReader, out: MmdFile) -> None:
         if goal >= len(out.bones):
             out.note("inverse kinematics are of bones that do not exist and are left out", f"bone {goal}")
             continue
-        out.bones[goal] = replace(
-            out.bones[goal], layer=1, ik=MmdIk(int(target), int(loops), 4.0 * limit, tuple(chain))
-        )
+        ik = MmdIk(int(target), int(loops), 4.0 * limit, tuple(chain))
+        out.bones[goal] = replace(out.bones[goal], layer=1, ik=ik)
 
 
 def _link(bone: int, out: MmdFile) -> MmdIkLink:

@@ -1,4 +1,6 @@
-"""VMD, the motion of MikuMikuDance: keys of bones with Bezier curves, and switches of inverse kinematics."""
+"""VMD, the motion of MikuMikuDance: keys of bones with Bezier curves, and switches of inverse kinematics; and how all
+its files are read within bounds.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +8,7 @@ import struct
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -17,6 +20,7 @@ from bunraku.errors import FormatError
 VMD_FPS = 30.0
 """MMD's only rate [1/s]."""
 
+AGAIN = "save it again"
 LONGEST = 4 * 3600 * 30  # frames
 _BONE = np.dtype(
     [("name", "S15"), ("frame", "<u4"), ("position", "<f4", 3), ("rotation", "<f4", 4), ("curve", "u1", (4, 16))]
@@ -25,6 +29,77 @@ _MORPH = np.dtype([("name", "S15"), ("frame", "<u4"), ("weight", "<f4")])
 _SKIPPED = (("camera keys", 61), ("light keys", 28), ("shadow keys", 9))
 _HEADERS = ((b"Vocaloid Motion Data 0002", 20), (b"Vocaloid Motion Data file", 10))  # and bytes of the model's name
 _HALVINGS = 24  # of the search on a curve: exact to 1e-7
+
+
+class MmdReader:
+    """Reads one value after the other from the bytes of a file; `encoding` is of texts with a length before them."""
+
+    def __init__(self, path: Path, data: bytes):
+        self.path, self.data, self.at = path, data, 0
+        self.encoding, self.section = "cp932", "header"
+
+    def fail(self, problem: str) -> NoReturn:
+        """Raise the error of this file."""
+        raise FormatError(self.path, f"{problem}; {AGAIN}")
+
+    @property
+    def left(self) -> int:
+        """How many bytes are left."""
+        return len(self.data) - self.at
+
+    def skip(self, size: int) -> int:
+        """Pass over some bytes, and return where they begin."""
+        if size > self.left:
+            self.fail(f"it is cut off in its {self.section}")
+        self.at += size
+        return self.at - size
+
+    def take(self, size: int) -> bytes:
+        """The next bytes."""
+        start = self.skip(size)
+        return self.data[start : self.at]
+
+    def values(self, layout: str) -> tuple[Any, ...]:
+        """Values of a `struct` layout, little-endian."""
+        return struct.unpack_from("<" + layout, self.data, self.skip(struct.calcsize("<" + layout)))
+
+    def one(self, layout: str) -> Any:
+        """A single value."""
+        return self.values(layout)[0]
+
+    def floats(self, count: int) -> np.ndarray:
+        """Floating-point numbers, shape (count,)."""
+        return np.array(self.values(f"{count}f"), float)
+
+    def index(self, size: int) -> int:
+        """A signed index of 1, 2 or 4 bytes, -1 for none."""
+        return int(self.one({1: "b", 2: "h", 4: "i"}[size]))
+
+    def count(self, section: str, least: int, layout: str = "i", most: int = 2**31) -> int:
+        """How many records of at least a size [bytes] follow in a section, as long as they fit into the file."""
+        self.section = section
+        count = int(self.one(layout))
+        if count < 0 or count * least > self.left:
+            room = self.left // max(least, 1)
+            self.fail(f"it announces {count & 0xFFFFFFFF} {section} but has room for {room}")
+        if count > most:
+            self.fail(f"it has {count:,} {section}, and at most {most:,} are read")
+        return count
+
+    def records(self, dtype: np.dtype, count: int) -> np.ndarray:
+        """Records of a fixed size, shape (count,)."""
+        return np.frombuffer(self.take(dtype.itemsize * count), dtype, count)
+
+    def text(self) -> str:
+        """A text with its length in bytes before it."""
+        size = int(self.one("i"))
+        if size < 0 or size > self.left:
+            self.fail(f"a text in its {self.section} has {size & 0xFFFFFFFF} bytes but {self.left} are left")
+        return self.take(size).decode(self.encoding, "replace").replace("\0", "")
+
+    def field(self, size: int) -> str:
+        """A text in a field of fixed size that ends with a zero byte."""
+        return fixed_text(self.take(size))
 
 
 @dataclass(frozen=True)
@@ -46,9 +121,8 @@ class VmdTrack:
         share = (at - self.frames[low]) / np.maximum(self.frames[high] - self.frames[low], 1)
         along = _eased(self.curves[high], share)
         positions = self.positions[low] + along[:, :3] * (self.positions[high] - self.positions[low])
-        return positions, np.asarray(
-            matrix_from_quaternion(quaternion_slerp(self.rotations[low], self.rotations[high], along[:, 3]))
-        )
+        rotations = quaternion_slerp(self.rotations[low], self.rotations[high], along[:, 3])
+        return positions, np.asarray(matrix_from_quaternion(rotations))
 
 
 @dataclass(frozen=True)
@@ -89,54 +163,34 @@ def read_vmd(path: Path, data: bytes) -> VmdMotion:
     room for, or holds something that is not a number.
     """
     name_size = next((size for magic, size in _HEADERS if data.startswith(magic)), 0)
+    reader = MmdReader(path, data)
     if not name_size:
-        raise FormatError(path, "it does not begin with 'Vocaloid Motion Data', so it is not a VMD file; save it again")
-    at = 30 + name_size
-    model = fixed_text(data[30:at])
-    keys, at = _records(path, data, at, _BONE, "bone keys", needed=True)
+        reader.fail("it does not begin with 'Vocaloid Motion Data', so it is not a VMD file")
+    reader.skip(30)
+    model = reader.field(name_size)
+    keys = reader.records(_BONE, reader.count("bone keys", _BONE.itemsize, "I"))
     if not (np.isfinite(keys["position"]).all() and np.isfinite(keys["rotation"]).all()):
-        raise FormatError(path, "one of its bone keys holds values that are not numbers; save it again")
+        reader.fail("one of its bone keys holds values that are not numbers")
     if len(keys) and keys["frame"].max() > LONGEST:
         raise FormatError(
             path, f"its last key is at frame {keys['frame'].max()}, hours after the start; delete that key"
         )
-    morphs, at = _records(path, data, at, _MORPH, "morph keys")
+    morphs = reader.records(_MORPH, _count(reader, "morph keys", _MORPH.itemsize))
     for section, size in _SKIPPED:
-        _, at = _records(path, data, at, np.dtype((np.void, size)), section)
+        reader.skip(size * _count(reader, section, size))
     names, counts = np.unique(morphs["name"], return_counts=True)
-    return VmdMotion(
-        model,
-        _tracks(keys),
-        {fixed_text(name): int(count) for name, count in zip(names, counts, strict=True)},
-        _switches(path, data, at),
-    )
+    by_name = {fixed_text(name): int(count) for name, count in zip(names, counts, strict=True)}
+    return VmdMotion(model, _tracks(keys), by_name, _switches(reader))
+
+
+def _count(reader: MmdReader, section: str, size: int) -> int:
+    """The number of records that follow; older programs leave the last sections out."""
+    return reader.count(section, size, "I") if reader.left >= 4 else 0
 
 
 def fixed_text(raw: bytes) -> str:
     """Shift JIS up to the first zero byte; half of a letter that the field's size cut off is dropped."""
     return raw.split(b"\0")[0].decode("cp932", "ignore")
-
-
-def _count(path: Path, data: bytes, at: int, size: int, what: str) -> int:
-    """The number of records at an offset, as long as they fit into the file; 0 at the end of the file."""
-    if at + 4 > len(data):
-        return 0  # older programs leave the last sections out
-    (count,) = struct.unpack_from("<I", data, at)
-    room = (len(data) - at - 4) // size
-    if count > room:
-        raise FormatError(
-            path, f"it announces {count} {what} but has room for {room}: it is cut off or broken; save it again"
-        )
-    return int(count)
-
-
-def _records(
-    path: Path, data: bytes, at: int, dtype: np.dtype, what: str, needed: bool = False
-) -> tuple[np.ndarray, int]:
-    if needed and at + 4 > len(data):
-        raise FormatError(path, f"it is cut off before its {what}; save it again")
-    count = _count(path, data, at, dtype.itemsize, what)
-    return np.frombuffer(data, dtype, count, min(at + 4, len(data)) if count else 0), at + 4 + count * dtype.itemsize
 
 
 def _tracks(keys: np.ndarray) -> dict[str, VmdTrack]:
@@ -178,26 +232,13 @@ def _bezier(first: np.ndarray, second: np.ndarray, s: np.ndarray) -> np.ndarray:
     return np.asarray(3 * (1 - s) ** 2 * s * first + 3 * (1 - s) * s**2 * second + s**3)
 
 
-def _switches(path: Path, data: bytes, at: int) -> tuple[tuple[int, dict[str, bool]], ...]:
+def _switches(reader: MmdReader) -> tuple[tuple[int, dict[str, bool]], ...]:
     """Keys that show the model and switch its inverse kinematics."""
-    count = _count(path, data, at, 9, "inverse kinematics keys")
     out = []
-    at += 4
-    for _ in range(count):
-        if at + 9 > len(data):
-            raise FormatError(path, "it is cut off in its inverse kinematics keys; save it again")
-        frame, _, bones = struct.unpack_from("<IBI", data, at)
-        at += 9
-        if bones * 21 > len(data) - at:
-            raise FormatError(
-                path, f"it announces {bones} inverse kinematics bones in one key but is cut off; save it again"
-            )
-        states = {
-            fixed_text(data[at + 21 * bone : at + 21 * bone + 20]): bool(data[at + 21 * bone + 20])
-            for bone in range(bones)
-        }
-        at += 21 * bones
-        out.append((int(frame), states))
+    for _ in range(_count(reader, "inverse kinematics keys", 9)):
+        frame, _ = reader.values("IB")
+        bones = range(reader.count("inverse kinematics bones", 21, "I"))
+        out.append((int(frame), {reader.field(20): bool(reader.one("B")) for _ in bones}))
     return tuple(sorted(out, key=lambda key: key[0]))
 
 

@@ -11,11 +11,11 @@ import numpy as np
 
 from bunraku.core.animation import bone_order
 from bunraku.core.avatars import BODY_SHAPES, MMD_METRE, MmdBody, MmdBone, MmdJoint, MmdModel, mmd_angles, mmd_model
-from bunraku.core.character import Character, Handles, top_influences
+from bunraku.core.character import Character, Handles, Rig, top_influences, written_rig
 from bunraku.core.files import atomic_write
 from bunraku.core.geometry.surface import vertex_normals
 from bunraku.errors import CharacterError, FormatError
-from bunraku.files.gltf.carry import IMAGE_SUFFIXES, image_type
+from bunraku.files.gltf.carry import IMAGE_SUFFIXES, free_name, image_type
 from bunraku.files.gltf.colors import srgb_from_linear
 from bunraku.files.gltf.document import Document
 from bunraku.files.gltf.read import Source
@@ -57,15 +57,11 @@ def pmx_bytes(file: MmdFile) -> bytes:
     """The bytes of a PMX file, which `read_pmx_file` reads back; the pictures of its textures are files of their own.
     FormatError if it has more bones, rigid bodies or joints than are read.
     """
-    for kind, count, most in (
-        ("bones", len(file.bones), MAX_BONES),
-        ("bodies", len(file.bodies), MAX_BODIES),
-        ("joints", len(file.joints), MAX_JOINTS),
-    ):
+    for kind, most in (("bones", MAX_BONES), ("bodies", MAX_BODIES), ("joints", MAX_JOINTS)):
+        count = len(getattr(file, kind))
         if count > most:
-            raise FormatError(
-                Path(f"{file.name}.pmx"), f"it would have {count:,} {kind}, and at most {most:,} are read; use fewer"
-            )
+            problem = f"it would have {count:,} {kind}, and at most {most:,} are read; use fewer"
+            raise FormatError(Path(f"{file.name}.pmx"), problem)
     out = _Writer(file)
     out.parts.append(b"PMX ")
     out.pack("f", 2.1 if (file.deforms == 4).any() else 2.0)
@@ -135,14 +131,8 @@ def _bone(out: _Writer, bone: MmdBone, tail: int | None) -> None:
     out.floats(bone.position * _MIRROR / MMD_METRE)
     out.index(bone.parent, out.bone)
     append, ik = bone.append, bone.ik
-    flags = (
-        0x18
-        | (tail is not None)
-        | 0x2 * bone.rotates
-        | 0x4 * bone.moves
-        | 0x20 * (ik is not None)
-        | 0x1000 * bone.after_physics
-    )
+    flags = 0x18 | (tail is not None) | 0x2 * bone.rotates | 0x4 * bone.moves | 0x1000 * bone.after_physics
+    flags |= 0x20 * (ik is not None)
     if append is not None:
         flags |= 0x80 * append.local | 0x100 * append.rotation | 0x200 * append.translation
     flags |= 0x400 * (bone.fixed_axis is not None) | 0x800 * (bone.local_axes is not None)
@@ -230,14 +220,9 @@ def save_pmx(character: Character, path: str | Path, avatar: MmdModel | None = N
         for material in file.materials
     ]
     data = pmx_bytes(file)
-    try:
-        for name, picture in pictures.values():
-            place = target.parent / name
-            place.parent.mkdir(exist_ok=True)
-            with atomic_write(place) as stream:
-                stream.write(picture)
-    except OSError as error:
-        raise FormatError(target, f"its pictures cannot be written ({error.strerror}); name another folder") from None
+    for name, picture in pictures.values():
+        with atomic_write(target.parent / name) as stream:
+            stream.write(picture)
     with atomic_write(target) as stream:
         stream.write(data)
     return target
@@ -261,27 +246,23 @@ def pmx_file(character: Character) -> MmdFile:
     of its image, as text. CharacterError if it has no rig; FormatError if its mesh is not the one that its model was
     read with.
     """
-    rig, model = character.rig, mmd_model(character)
-    if rig is None:
-        raise CharacterError(f"{character.name}: there is no rig to write; make one with `bunraku.with_skeleton`")
+    rig, model = written_rig(character), mmd_model(character)
     same = model is not None and len(model.bones) == len(rig.names)
     out = MmdFile("PMX 2.0", model.name if model and same else character.name, model.english if model and same else "")
     source = document_of(character)
     index = _mesh(out, character, source)
-    width = min(4, rig.indices.shape[1])
-    shares = np.zeros((len(character.vertices), 4))
-    bones = np.full((len(character.vertices), 4), -1, np.int64)
     if rig.indices.shape[1] > 4:
         order, kept = top_influences(rig.weights, 4)
-        bones[:], shares[:] = np.take_along_axis(rig.indices, order, axis=1), kept
+        bones, shares = np.take_along_axis(rig.indices, order, axis=1).astype(np.int64), kept.astype(float)
     else:
-        bones[:, :width], shares[:, :width] = rig.indices[:, :width], rig.weights[:, :width]
+        more = (0, 0), (0, 4 - rig.indices.shape[1])
+        bones = np.pad(rig.indices.astype(np.int64), more, constant_values=-1)
+        shares = np.pad(rig.weights.astype(float), more)
     out.sdef = np.zeros((len(index), 3, 3))
     if model is not None and same and len(model.deforms) == len(index):
         out.deforms = model.deforms
-        out.sdef[model.sdef.vertices] = (
-            np.stack([model.sdef.center, model.sdef.r0, model.sdef.r1], axis=1) * _MIRROR / MMD_METRE
-        )
+        constants = np.stack([model.sdef.center, model.sdef.r0, model.sdef.r1], axis=1)
+        out.sdef[model.sdef.vertices] = constants * _MIRROR / MMD_METRE
         out.bones = list(model.bones)
     else:
         order = np.argsort(-shares, axis=1, kind="stable")
@@ -289,7 +270,7 @@ def pmx_file(character: Character) -> MmdFile:
         count = (shares > 0).sum(axis=1)
         out.deforms = np.select([count[index] <= 1, count[index] == 2], [0, 1], 2).astype(np.uint8)
         bones = np.where(shares > 0, bones, np.where(np.arange(4) == 0, np.maximum(bones, 0), -1))
-        out.bones = _bones(character)
+        out.bones = _bones(rig)
         out.tails = _tails(rig.parents)
     out.indices, out.weights = bones[index], shares[index]
     if model is not None:
@@ -307,22 +288,20 @@ def _mesh(out: MmdFile, character: Character, source: Source) -> np.ndarray:
         primitives = document.objects(document.item("meshes", part.mesh), "primitives")
         for group, ids in part.split(rows):
             attributes = primitives[group.primitives[0]].get("attributes", {})
-            texture = attributes.get("TEXCOORD_0")
-            uv = (
-                np.zeros((len(ids), 2)) if texture is None else document.accessor(texture, ("VEC2",)).astype(np.float64)
-            )
+            texture, uv = attributes.get("TEXCOORD_0"), np.zeros((len(ids), 2))
+            if texture is not None:
+                uv = document.accessor(texture, ("VEC2",)).astype(np.float64)
             for number, corners in zip(group.primitives, group.triangles, strict=True):
                 if len(corners):
                     material = primitives[number].get("material")
                     entry = materials[material] if type(material) is int and material < len(materials) else {}
                     out.materials.append(_material(document, entry, 3 * len(corners)))
                     triangles.append(base + np.asarray(corners, np.int64)[:, ::-1])
+            normal = smooth[ids]
             kept = source.moved is None and part.transform is not None and np.array_equal(part.transform, np.eye(4))
-            normals.append(
-                document.accessor(attributes["NORMAL"], ("VEC3",)).astype(np.float64)
-                if kept and "NORMAL" in attributes
-                else smooth[ids]
-            )
+            if kept and "NORMAL" in attributes:
+                normal = document.accessor(attributes["NORMAL"], ("VEC3",)).astype(np.float64)
+            normals.append(normal)
             chosen.append(ids)
             uvs.append(uv)
             base += len(ids)
@@ -362,21 +341,15 @@ def _pictures(document: Document, folder: str) -> dict[str, tuple[str, bytes]]:
     return out
 
 
-def _bones(character: Character) -> list[MmdBone]:
-    rig = character.rig
-    assert rig is not None
-    names, seen = [], set()
-    for name in rig.names:  # MMD knows bones by their names
-        label, number = name, 2
-        while label in seen:
-            label, number = f"{name} {number}", number + 1
-        seen.add(label)
-        names.append(label)
+def _bones(rig: Rig) -> list[MmdBone]:
+    names: dict[str, int] = {}
+    for bone, name in enumerate(rig.names):  # MMD knows bones by their names
+        names[free_name(name, names, " ")] = bone
     layers = _layers(rig.parents)
     return [
         MmdBone(name, name, rig.positions[bone], int(rig.parents[bone]), layers[bone],
                 moves=rig.parents[bone] < 0, tail=np.array([0.0, 0.05, 0]))
-        for bone, name in enumerate(names)
+        for name, bone in names.items()
     ]  # fmt: skip
 
 
@@ -392,11 +365,8 @@ def _layers(parents: np.ndarray) -> list[int]:
 
 def _tails(parents: np.ndarray) -> dict[int, int]:
     """The bone that each points at: its only child."""
-    return {
-        bone: int(np.flatnonzero(parents == bone)[0])
-        for bone in range(len(parents))
-        if np.count_nonzero(parents == bone) == 1
-    }
+    below = {bone: np.flatnonzero(parents == bone) for bone in range(len(parents))}
+    return {bone: int(children[0]) for bone, children in below.items() if len(children) == 1}
 
 
 def _units(positions: np.ndarray) -> np.ndarray:

@@ -42,11 +42,7 @@ def read_amass(path: Path, data: bytes) -> SkeletalMotion:
         names = npz_names(archive)
         rate = next((name for name in _RATES if name in names), None)
         if "trans" not in names or not ("poses" in names or {"root_orient", "pose_body"} <= names) or rate is None:
-            raise FormatError(
-                path,
-                "this NPZ lacks poses, trans or mocap_framerate, so it is not a motion of AMASS; some of its files are "
-                "shapes only",
-            )
+            raise FormatError(path, "this NPZ lacks poses, trans or mocap_framerate, so it is not a motion of AMASS")
         parts = ("poses",) if "poses" in names else ("root_orient", "pose_body")
         poses = np.concatenate(
             [_rows(path, read_member(path, archive, name, len(data)), name) for name in parts], axis=1
@@ -125,11 +121,8 @@ def read_humanml3d(path: Path, data: bytes) -> SkeletalMotion:
     elif array.ndim == 3 and array.shape[1:] == (JOINT_COUNT, 3) and len(array):
         positions = array
     else:
-        raise FormatError(
-            path,
-            f"motions of HumanML3D have shape (N, {VECTOR_SIZE}) or (N, {JOINT_COUNT}, 3), not {array.shape}; give "
-            "one of those",
-        )
+        shapes = f"(N, {VECTOR_SIZE}) or (N, {JOINT_COUNT}, 3)"
+        raise FormatError(path, f"motions of HumanML3D have shape {shapes}, not {array.shape}; give one of those")
     from bunraku.core.body.joint_rotations import motion_from_positions  # after the formats, in the order of imports
 
     return motion_from_positions(positions, HUMANML3D_FPS)

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from bunraku.core.files import atomic_write
+from bunraku.core.geometry.axes import UNITS
 from bunraku.core.motion import SkeletalMotion, Skeleton, resample_motion
 from bunraku.errors import FormatError, OptionError
 
@@ -22,6 +23,10 @@ _WORDS = re.compile(
     r"|CHANNELS\b\s*(?P<channels>\d{1,18}\b(?:\s+[XYZ](?:position|rotation|scale)\b)*)|(?P<other>\S+)",
     re.IGNORECASE,
 )
+
+
+def _broken(path: Path, problem: str) -> FormatError:
+    return FormatError(path, f"{problem}; export it again")
 
 
 @dataclass
@@ -41,7 +46,7 @@ def parse_hierarchy(path: Path, text: str) -> tuple[list[BvhJoint], int]:
     """
     text = text.removeprefix("\ufeff").strip()
     if not re.match(r"HIERARCHY\b", text, re.IGNORECASE):
-        raise FormatError(path, "it does not begin with HIERARCHY, so it is not a BVH file; export it again")
+        raise _broken(path, "it does not begin with HIERARCHY, so it is not a BVH file")
     joints: list[BvhJoint] = []
     above: list[int] = []  # open braces
     names: dict[str, int] = {}
@@ -53,16 +58,15 @@ def parse_hierarchy(path: Path, text: str) -> tuple[list[BvhJoint], int]:
         if kind in ("joint", "end"):
             name = (word["joint"] or "").strip()
             if waiting or (kind == "end" and here is None):
-                raise FormatError(path, f"its hierarchy has no braces before {name or 'an end site'}; export it again")
+                raise _broken(path, f"its hierarchy has no braces before {name or 'an end site'}")
             if kind == "joint" and name in inside:
                 raise FormatError(
                     path, f"its joint '{name}' is inside itself, a cycle; give every joint a name of its own"
                 )
             if len(joints) >= MOST_JOINTS:
                 raise FormatError(path, f"it has more than {MOST_JOINTS} joints; export the skeleton without its props")
-            joints.append(
-                BvhJoint(_unique(name or "joint", names) if kind == "joint" else "", above[-1] if above else -1)
-            )
+            title = _unique(name or "joint", names) if kind == "joint" else ""
+            joints.append(BvhJoint(title, above[-1] if above else -1))
             inside.append(name)
             waiting = True
         elif kind == "open" and waiting:
@@ -76,19 +80,13 @@ def parse_hierarchy(path: Path, text: str) -> tuple[list[BvhJoint], int]:
         elif kind == "channels" and here is not None and here.name and not here.channels:
             count, *kinds = word["channels"].lower().split()
             if int(count) != len(kinds) or len(kinds) > MOST_CHANNELS:
-                raise FormatError(
-                    path, f"its joint '{here.name}' announces {count} channels and names {len(kinds)}; export it again"
-                )
-            here.channels = [
-                ("xyz".index(channel[0]), channel[1:], columns + index) for index, channel in enumerate(kinds)
-            ]
+                raise _broken(path, f"its joint '{here.name}' announces {count} channels and names {len(kinds)}")
+            here.channels = [("xyz".index(each[0]), each[1:], column) for column, each in enumerate(kinds, columns)]
             columns += len(kinds)
         else:
-            raise FormatError(
-                path, f"its hierarchy has '{word[0].strip()[:40]}' where it makes no sense; export it again"
-            )
+            raise _broken(path, f"its hierarchy has '{word[0].strip()[:40]}' where it makes no sense")
     if above or waiting:
-        raise FormatError(path, "its hierarchy is cut off: braces are open at its end; export it again")
+        raise _broken(path, "its hierarchy is cut off: braces are open at its end")
     if not any(joint.name for joint in joints):
         raise FormatError(path, "its hierarchy holds no joint; export it with its skeleton")
     return joints, columns
@@ -109,21 +107,11 @@ def _offset(path: Path, words: str, name: str) -> tuple[float, float, float]:
     except ValueError:
         x = y = z = math.nan
     if not (math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
-        raise FormatError(
-            path, f"the offset of its joint '{name}' is '{words.strip()[:40]}', not three numbers; export it again"
-        )
+        raise _broken(path, f"the offset of its joint '{name}' is '{words.strip()[:40]}', not three numbers")
     return x, y, z
 
 
-BVH_UNITS: dict[str, float] = {
-    "mm": 0.001,
-    "cm": 0.01,
-    "in": 0.0254,
-    "cmu": 0.0254 / 0.45,
-    "dm": 0.1,
-    "ft": 0.3048,
-    "m": 1.0,
-}
+BVH_UNITS: dict[str, float] = {**UNITS, "cmu": 0.0254 / 0.45}
 """Units of BVH files [m], by definition; "cmu" is 1/0.45 inch, as published skeletons of the CMU database state it."""
 
 # From the toes up the trunk and out to a hand [m]; measured on the reference body it is 1.3 of the height.
@@ -139,33 +127,19 @@ _FRAMES = re.compile(
 _NO_NUMBER = re.compile(rb"(?<!\S)(?![+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?(?!\S))\S+")
 
 
-def read_bvh(path: Path, data: bytes, *, unit: str | None = None, up: str | None = None) -> SkeletalMotion:
-    """Read a BVH file from its bytes.
+def read_bvh(path: Path, data: bytes) -> SkeletalMotion:
+    """Read a BVH file from its bytes: the motion at the file's rate, +Y up, in metres. The skeleton's size and how it
+    stands tell unit and up axis.
 
     Of joints whose position moves, the root gives the motion's path, a joint with most of the skeleton below it (the
     hips below a still `Root`) replaces the root, and others keep their mean offset. Of several roots the one with most
     joints is read. FormatError if the file is broken, cut off, too large, without frames, or holds something that is
-    not a number; OptionError if there is no such unit or axis.
-
-    Args:
-        path: The file.
-        data: Its bytes.
-        unit: One of `BVH_UNITS`; a guess by the skeleton's size by default.
-        up: "+y" or "+z"; a guess by default.
-
-    Returns:
-        The motion at the file's rate, +Y up, in metres.
+    not a number.
     """
-    if unit is not None and unit not in BVH_UNITS:
-        raise OptionError(f"'{unit}' is not a unit; there are {', '.join(BVH_UNITS)}")
-    if up not in (None, "+y", "+z"):
-        raise OptionError(f"up in a BVH file is +y or +z, not {up}")
     start = _MOTION.search(data, 0, MOST_HEADER)
     if start is None:
-        parse_hierarchy(
-            path, data[:MOST_HEADER].decode("utf-8", "replace")
-        )  # says what is wrong if that is not a hierarchy
-        raise FormatError(path, "there is no MOTION after its hierarchy, the file is cut off; export it again")
+        parse_hierarchy(path, data[:MOST_HEADER].decode("utf-8", "replace"))  # says if that is no hierarchy
+        raise _broken(path, "there is no MOTION after its hierarchy, the file is cut off")
     joints, columns = parse_hierarchy(path, data[: start.start()].decode("utf-8", "replace"))
     values, fps = _frames(path, data, start.start(), columns)
     tree = _largest_tree(joints)
@@ -175,46 +149,35 @@ def read_bvh(path: Path, data: bytes, *, unit: str | None = None, up: str | None
         )
     rotations = _rotations(values, [joints[joint] for joint in tree])
     motion = _assembled(path, joints, tree, values, rotations, fps)
-    scale = BVH_UNITS[unit] if unit else _unit(joints)
-    return _in_our_frame(motion, scale, up)
+    return _in_our_frame(motion, _unit(joints))
 
 
 def _frames(path: Path, data: bytes, start: int, columns: int) -> tuple[np.ndarray, float]:
     """Values of all channels, shape (N, columns), and frames a second."""
     head = _FRAMES.match(data, start)
     if head is None:
-        raise FormatError(path, "there is no 'Frames:' and 'Frame Time:' after MOTION; export it again")
+        raise _broken(path, "there is no 'Frames:' and 'Frame Time:' after MOTION")
     try:
         count, seconds = int(head["count"]), float(head["time"])
     except ValueError:
-        raise FormatError(
-            path, "its number of frames or its frame time is missing or not a number; export it again"
-        ) from None
+        raise _broken(path, "its number of frames or its frame time is missing or not a number") from None
     if count <= 0:
         raise FormatError(path, f"it has {count} frames; export at least one")
     if not 1e-4 <= seconds <= 10:
-        raise FormatError(path, f"its frame time is {seconds:g} s, which no motion has; export it again")
+        raise _broken(path, f"its frame time is {seconds:g} s, which no motion has")
     need = count * columns
     if not columns:
-        raise FormatError(path, "none of its joints has channels, so nothing moves; export it again")
+        raise _broken(path, "none of its joints has channels, so nothing moves")
     room = len(data) - head.end()
     if need > (room + 1) // 2:  # a number and a blank are two bytes
-        raise FormatError(
-            path,
-            f"it announces {count} frames of {columns} numbers but is cut off: they do not fit into the file; export "
-            "it again",
-        )
+        raise _broken(path, f"it announces {count} frames of {columns} numbers but is cut off, they do not fit into it")
     values = _numbers(path, data[head.end() :], need, columns)
     if len(values) < need:
-        raise FormatError(
-            path,
-            f"it is cut off: of {count} frames {len(values) // columns} are there; export it again, or correct "
-            "'Frames:'",
-        )
+        raise _broken(path, f"it is cut off: of {count} frames {len(values) // columns} are there")
     values = values[:need].reshape(count, columns)
     if not np.isfinite(values).all():
         frame = int(np.flatnonzero(~np.isfinite(values).all(axis=1))[0])
-        raise FormatError(path, f"its frame {frame + 1} holds values that are not numbers; export it again")
+        raise _broken(path, f"its frame {frame + 1} holds values that are not numbers")
     rate = 1 / seconds
     return values, float(round(rate)) if abs(rate - round(rate)) < 5e-4 * rate else rate
 
@@ -233,9 +196,7 @@ def _numbers(path: Path, text: bytes, need: int, columns: int) -> np.ndarray:
         return before
     word = bad[0][:20].decode("utf-8", "replace") if bad else ""
     comma = ", decimals need a point" if "," in word else ""
-    raise FormatError(
-        path, f"its frame {len(before) // columns + 1} holds '{word}', which is not a number{comma}; export it again"
-    )
+    raise _broken(path, f"its frame {len(before) // columns + 1} holds '{word}', which is not a number{comma}")
 
 
 def _parsed(text: bytes) -> np.ndarray:
@@ -310,22 +271,19 @@ def _assembled(
     parents = np.array([number.get(joints[joint].parent, -1) for joint in tree])
     positions = [_positions(joints[joint], values) for joint in tree]
     if max(float(np.abs(index).max()) for index in positions) > 1e9:
-        raise FormatError(path, "its joints are a billion units apart; export it again")
+        raise _broken(path, "its joints are a billion units apart")
     offsets = np.array([index.mean(axis=0) for index in positions])
     size = max(float(np.linalg.norm(offsets[1:], axis=-1).sum()), 1e-9)
     root, path_of_root = 0, positions[0]
     while True:  # the hips below a root that stays behind
-        moving = [
-            j
-            for j in np.flatnonzero(parents == root)
-            if len(positions[j]) > 1 and np.ptp(positions[j], axis=0).max() > 0.003 * size
-        ]
-        lower = next((int(j) for j in moving if 2 * len(_below(parents, int(j))) >= len(_below(parents, root))), None)
+        below = np.flatnonzero(parents == root).tolist()
+        moving = [joint for joint in below if np.ptp(positions[joint], axis=0).max() > 0.003 * size]
+        most = len(_below(parents, root))
+        lower = next((joint for joint in moving if 2 * len(_below(parents, joint)) >= most), None)
         if lower is None:
             break
-        path_of_root = path_of_root + np.einsum(
-            "nij,nj->ni", rotations[:, root], np.broadcast_to(positions[lower], (len(values), 3))
-        )
+        moved = np.broadcast_to(positions[lower], (len(values), 3))
+        path_of_root = path_of_root + np.einsum("nij,nj->ni", rotations[:, root], moved)
         rotations[:, lower] = rotations[:, root] @ rotations[:, lower]
         root = lower
     kept = _below(parents, root)
@@ -360,19 +318,17 @@ def _unit(joints: list[BvhJoint]) -> float:
     return min(BVH_UNITS.values(), key=lambda unit: abs(math.log(size * unit / PERSON)))
 
 
-def _in_our_frame(motion: SkeletalMotion, scale: float, up: str | None) -> SkeletalMotion:
+def _in_our_frame(motion: SkeletalMotion, scale: float) -> SkeletalMotion:
     """In metres, and rotated from +Z to +Y up where that is how it stands."""
     skeleton = motion.skeleton
-    if up is None:
-        shown = np.unique(np.linspace(0, len(motion) - 1, 50).astype(int))
-        extent = np.ptp(
-            SkeletalMotion(skeleton, motion.rotations[shown], motion.root_translation[shown], 1.0).world()[1], axis=1
-        ).mean(axis=0)
-        x, y, z = np.ptp(skeleton.positions, axis=0)
-        up = "+z" if z > 3 * y and z > 0.4 * x and extent[2] > 1.3 * extent[1] else "+y"
-    turn = np.eye(3, dtype=np.float32) if up == "+y" else np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], np.float32)
+    shown = np.unique(np.linspace(0, len(motion) - 1, 50).astype(int))
+    few = SkeletalMotion(skeleton, motion.rotations[shown], motion.root_translation[shown], 1.0)
+    extent = np.ptp(few.world()[1], axis=1).mean(axis=0)
+    x, y, z = np.ptp(skeleton.positions, axis=0)
+    lies = bool(z > 3 * y and z > 0.4 * x and extent[2] > 1.3 * extent[1])
+    turn = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]] if lies else np.eye(3), np.float32)
     turned = Skeleton(skeleton.names, skeleton.parents, skeleton.offsets @ turn.T * scale)
-    rotations = motion.rotations if up == "+y" else turn @ motion.rotations @ turn.T
+    rotations = turn @ motion.rotations @ turn.T if lies else motion.rotations
     return SkeletalMotion(turned, rotations, motion.root_translation @ turn.T * scale, motion.fps)
 
 
@@ -420,9 +376,8 @@ def write_bvh(
             cut = slice(start, start + FRAMES_AT_ONCE)
             angles = _angles(turn @ motion.rotations[cut][:, sequence].astype(float) @ turn.T, order.upper(), before)
             before = angles[-1]
-            rows = np.concatenate(
-                [motion.root_translation[cut] @ turn.T * scale, angles.reshape(len(angles), -1)], axis=1
-            )
+            roots = motion.root_translation[cut] @ turn.T * scale
+            rows = np.concatenate([roots, angles.reshape(len(angles), -1)], axis=1)
             file.write("".join([row % tuple(values) for values in rows.tolist()]).encode())
     return path
 
@@ -466,11 +421,8 @@ def _angles(rotations: np.ndarray, order: str, before: np.ndarray | None) -> np.
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # of gimbal lock: one of the solutions is as good as another
-        angles = (
-            Rotation.from_matrix(rotations.reshape(-1, 3, 3))
-            .as_euler(order, degrees=True)
-            .reshape(*rotations.shape[:2], 3)
-        )
+        flat = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_euler(order, degrees=True)
+    angles = flat.reshape(*rotations.shape[:2], 3)
     if before is not None:
         return np.asarray(np.unwrap(np.concatenate([before[None], angles]), axis=0, period=360)[1:])
     return np.asarray(np.unwrap(angles, axis=0, period=360))
