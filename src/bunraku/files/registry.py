@@ -246,10 +246,8 @@ def _read(path: str | Path, kind: str, **options: object) -> Any:
             suffix = _suffix_of(path, kind, file.read(64))
             most = _LARGEST.get(suffix, MAX_BYTES)
             if size > most:
-                size = f"{size >> 20} MiB"
-                raise FormatError(
-                    path, f"{size} are too many for {suffix}, at most {most >> 20} are read; cut it into parts"
-                )
+                problem = f"{size >> 20} MiB are too many for {suffix}, at most {most >> 20} are read"
+                raise FormatError(path, f"{problem}; cut it into parts")
             file.seek(0)
             data = file.read(size)  # a larger number would be set aside in memory first
     except OSError as error:

@@ -182,7 +182,7 @@ def _coordinates(document: Document, primitive: dict[str, object], count: int) -
 
 def add_mesh(look: Look, piece: Piece, character: Character, frame: FileFrame) -> Any:
     """Add a piece of a character as a mesh below the root."""
-    usd, rest = look.usd, np.ascontiguousarray(frame.points(character.vertices)[piece.index])
+    usd, rest = look.usd, np.ascontiguousarray(frame.points(character.vertices[piece.index]))
     array, types = usd["Vt"].Vec3fArray.FromNumpy, usd["Sdf"].ValueTypeNames
     mesh = usd["UsdGeom"].Mesh.Define(look.stage, f"{look.root}/{piece.name}")
     mesh.CreateSubdivisionSchemeAttr("none")
@@ -309,8 +309,8 @@ def _of_handles(animation: Animation, frame: FileFrame) -> _Skin:
     joints = [names[0], *(f"{names[0]}/{name}" for name in names[1:])]
     moves, turns = joint_tracks(handles.positions, animation.motion)
     turns[..., :3] = turns[..., :3] @ frame.turn.T
-    tracks = (np.ascontiguousarray(track, np.float32) for track in (frame.points(moves), turns))
-    return _Skin(joints, h, np.concatenate([h[:1], h[1:] - h[0]]), *tracks, *_influences(handles.weights))
+    moves, turns = (np.ascontiguousarray(track, np.float32) for track in (frame.points(moves), turns))
+    return _Skin(joints, h, np.concatenate([h[:1], h[1:] - h[0]]), moves, turns, *_influences(handles.weights))
 
 
 def _of_bones(animation: RigAnimation, frame: FileFrame) -> _Skin:

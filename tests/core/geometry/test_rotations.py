@@ -8,15 +8,7 @@ from oracles import register_reference, registration_case
 from scipy.spatial.transform import Rotation, Slerp
 
 from bunraku.core.geometry import rotations as rot
-from bunraku.core.geometry.axes import (
-    ORIENTATIONS,
-    axis_vector,
-    covered,
-    directions_about,
-    goes_round,
-    right_angle_rotations,
-    upright_rotation,
-)
+from bunraku.core.geometry.axes import ORIENTATIONS, axis_vector, right_angle_rotations, upright_rotation
 from bunraku.core.geometry.rotations import Resampling
 from bunraku.core.skinning import part_means, register
 
@@ -39,18 +31,6 @@ def test_up_goes_up_and_front_to_the_front(up, front):
     assert np.array_equal(rotation @ axis_vector(up), [0, 1, 0]) and np.array_equal(
         rotation @ axis_vector(front), [0, 0, 1]
     )
-
-
-def test_a_ring_covers_all_and_a_half_covers_half():
-    angle = np.linspace(0, 2 * np.pi, 240, endpoint=False) + 0.01
-    ring = np.stack([np.linspace(0, 1, 240), 0.2 * np.cos(angle), 0.2 * np.sin(angle)], axis=1)
-    found = directions_about(ring, np.zeros(3), np.array([3.0, 0, 0]))
-    assert covered(found) == 1
-    assert goes_round(found) and not goes_round(found[:120])
-    assert covered(found[:120]) == pytest.approx(0.5, abs=0.1)
-    # a step about the line is a step of the direction, whichever way it counts
-    steps = np.angle(np.exp(1j * np.diff(found)))
-    np.testing.assert_allclose(np.abs(steps), 2 * np.pi / 240, rtol=1e-4)
 
 
 ROTATION_AXES = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [0, -1, 1], [1, 2, 3], [-3, 1, 0.1]], float)

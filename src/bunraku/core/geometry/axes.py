@@ -9,9 +9,6 @@ import numpy as np
 
 from bunraku.errors import OptionError
 
-BINS, ROUND = 12, 0.75
-"""Bins of the directions about a line, and the share of them that something around it covers."""
-
 AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 ORIENTATIONS: tuple[tuple[str, str], ...] = tuple((up, front) for up, front in product(AXES, AXES) if up[1] != front[1])
 """All pairs of up and front, 24 of them."""
@@ -59,30 +56,9 @@ def default_orientation(up: str | None = None, front: str | None = None) -> tupl
     return "+y", "+z"
 
 
-def directions_about(points: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Directions of points (M, 3) about the line from `start` to `end` [rad], shape (M,)."""
-    along = end - start
-    along = along / max(float(np.linalg.norm(along)), 1e-9)
-    side = np.eye(3)[int(np.abs(along).argmin())]
-    side = side - (side @ along) * along
-    side /= np.linalg.norm(side)
-    away = points - start
-    return np.asarray(np.arctan2(away @ np.cross(along, side), away @ side))
-
-
 def direction_bins(directions: np.ndarray, count: int) -> np.ndarray:
     """The bin of each direction [rad], shape (M,), int64, among `count` equal parts of a full circle."""
     return np.asarray(((directions + np.pi) / (2 * np.pi) * count).astype(np.int64) % count)
-
-
-def covered(directions: np.ndarray, count: int = BINS) -> float:
-    """Share of `count` equal parts of a full circle that directions [rad], shape (M,), fall into."""
-    return float((np.bincount(direction_bins(directions, count), minlength=count) > 0).mean())
-
-
-def goes_round(directions: np.ndarray) -> bool:
-    """Whether directions about a line [rad], shape (M,), go round it."""
-    return covered(directions) >= ROUND
 
 
 UNITS: dict[str, float] = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}

@@ -34,10 +34,8 @@ class Allowance:
         """Use some bytes; FormatError where they are used up."""
         self.left -= size
         if self.left < 0:
-            size = f"{MAX_UNPACKED >> 20} MiB"
-            raise FormatError(
-                self.path, f"its arrays unpack to more than {size}; simplify the mesh or shorten its clips"
-            )
+            most = f"{MAX_UNPACKED >> 20} MiB"
+            raise FormatError(self.path, f"its arrays unpack to over {most}; simplify the mesh or shorten its clips")
 
 
 @dataclass(frozen=True, eq=False)

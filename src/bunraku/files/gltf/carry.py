@@ -35,10 +35,10 @@ def carry_tree(document: Document) -> dict[str, Any]:
     for key in ("materials", "textures", "samplers"):
         if document.items(key):
             tree[key] = copy.deepcopy(document.items(key))
-    extensions = old.get("extensions")
-    kept = [name for name in _ROOT_EXTENSIONS if name in extensions] if isinstance(extensions, dict) else []
+    extensions = document.extensions
+    kept = {name: copy.deepcopy(extensions[name]) for name in _ROOT_EXTENSIONS if name in extensions}
     if kept:
-        tree["extensions"] = {name: copy.deepcopy(extensions[name]) for name in kept}
+        tree["extensions"] = kept
     if "extras" in old:
         tree["extras"] = copy.deepcopy(old["extras"])
     for key in ("extensionsUsed", "extensionsRequired"):

@@ -253,7 +253,7 @@ def _above_all(source: Source, builder: GltfBuilder) -> np.ndarray:
             free = [node for node in listed if "skin" in nodes[node] and not nodes[node].get("children")]
             below = [node for node in listed if node not in free]
             if below:
-                entry = {"name": "upright", "matrix": turn.T.reshape(-1).tolist(), "children": below}
+                entry: dict[str, Any] = {"name": "upright", "matrix": turn.T.reshape(-1).tolist(), "children": below}
                 scene["nodes"] = [*free, builder.add("nodes", entry)]
     return np.asarray(turn @ front_matrix(source.document))
 
