@@ -52,9 +52,7 @@ class Clip:
             return self.reference
         if self.positions is None or self.is_of(reference_body().handles):
             return self.motion
-        raise MotionError(
-            f"{self.path}: this motion was made for another character than the reference body; name that one"
-        )
+        raise MotionError(f"{self.path}: this motion was made for another body; name that character")
 
     def on(self, character: Character, handles: Handles) -> Animation | None:
         """The animation of the character that the motion was made for, or None if this is another one."""

@@ -401,7 +401,8 @@ def check_writer(path: str | Path, *, points: bool = False, mmd: bool = True) ->
     if suffix in _USD:
         _resolve("bunraku.files.usd:check_available")()
     if suffix == ".vmd" and not mmd:
-        raise FormatError(path, "a VMD moves the bones of an MMD model; transfer onto a .pmx or .pmd, or write a .vrma")
+        problem = "a VMD moves the bones of an MMD model, which this character is not"
+        raise FormatError(path, f"{problem}; transfer onto a .pmx or .pmd, or write a .bvh or .vrma")
 
 
 @checked

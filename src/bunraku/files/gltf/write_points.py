@@ -185,7 +185,7 @@ def fitted_points(moved: PointAnimation, tolerance: float | None = None, shapes:
         fitted = _with_bones(moved, moving, where, 0.95 * limit, None if found is None else found.size)
         if fitted is None and shapes == "bones":
             raise OptionError(
-                f"{MOST_BONES} bones do not come within {limit:.4g} m; raise the tolerance or take shapes='mixed'"
+                f"{MOST_BONES} bones do not come within {limit:.4g} m; give a larger tolerance or shapes='mixed'"
             )
         baked, found = (fitted, None) if fitted is not None else (baked, found)
     names = tuple(_bone_name(moved.animation.handles, number, count) for number in range(len(baked.handles.positions)))
