@@ -84,6 +84,18 @@ def test_vertices_at_one_place_have_equal_weights():
 
 
 @needs_weights
+def test_what_shows_no_body_moves_as_one():
+    """Paper cards that lie on one another have no limbs."""
+    spots = [(2, 2, 0, 0), (1.2, 0.6, 0, 0.5), (0.4, 0.9, -0.4, -0.3), (0.4, 0.9, 0.4, -0.3)]
+    cards = trimesh.util.concatenate(
+        [trimesh.creation.box((width, height, 0.01)).apply_translation([x, y, 0.02 * number])
+         for number, (width, height, x, y) in enumerate(spots)]
+    )  # fmt: skip
+    weights = predict_handles(Character("cards", np.asarray(cards.vertices), np.asarray(cards.faces))).weights
+    assert (weights[:, 0] == 1).all()
+
+
+@needs_weights
 def test_the_feature_alone_is_that_of_the_prediction():
     character = make_sample("dog", 0.5)
     np.testing.assert_allclose(mesh_feature(character), predict_handles(character).features, atol=1e-5)
