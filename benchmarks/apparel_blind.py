@@ -29,6 +29,7 @@ from bunraku.files import in_metres, load_character, rotated
 from bunraku.generation.library import all_clips, clip
 from bunraku.pipelines.animate import rig
 from bunraku.pipelines.apparel import dressed
+from bunraku.pipelines.requests import Apparel
 from bunraku.render.frames import render_animation
 from bunraku.render.pictures import assemble, write_png
 
@@ -190,7 +191,7 @@ def main() -> None:
         motion = clip(name).motion(SECONDS)
         moved = transfer(mesh, motion, handles=rig(mesh))
         first = bool(order[place])
-        worn = dressed(moved, "auto")
+        worn = dressed(moved, Apparel("auto"))
         key[str(place + 1)] = {"row": int(row), "with": "A" if first else "B", "alike": worn is moved}
         write_png(sheet(worn, moved.at(30.0), first), asked.folder / f"{place + 1:02d}.png")
         asked.key.write_text(json.dumps(key, indent=1))

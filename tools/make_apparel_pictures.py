@@ -16,6 +16,7 @@ import numpy as np
 import bunraku
 from bunraku.apparel.body import UnifiedBody
 from bunraku.pipelines.apparel import dressed
+from bunraku.pipelines.requests import Apparel
 from bunraku.render import contact_sheet, render_frames, save_preview
 from bunraku_lab.datasets.apparel.build import body_animation
 from bunraku_lab.synthetic.stock_motions import stock_motion
@@ -42,7 +43,7 @@ def beside(files: list[Path]) -> None:
         body = UnifiedBody.of(character)
         animation = body_animation(body, stock_motion("dance", 4.0, 30.0))
         for how in ("simulate", "learn"):
-            moved = dressed(animation, how)
+            moved = dressed(animation, Apparel(how))
             shown = moved.vertices(list(MOMENTS))
             pictures += list(render_frames(np.asarray(shown), character.faces, character.colors, size=(180, 260)))
             labels += [f"{path.stem}, {how}d" if how == "simulate" else f"{path.stem}, learned"] * len(MOMENTS)

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import bunraku
-from bunraku.cli import main, outputs
+from bunraku.cli import main, shared
 from bunraku.cli.app import all_verbs
 from bunraku.cli.clips import Samples
-from bunraku.cli.outputs import slug
+from bunraku.cli.shared import slug
 from bunraku.errors import is_fault, sentence_of
 
 
@@ -113,8 +113,8 @@ def test_slug():
 
 
 def test_a_long_stage_tells_how_far_it_is(capsys, monkeypatch):
-    monkeypatch.setattr(outputs, "LINE", 0.0)
-    with outputs.stages() as report:
+    monkeypatch.setattr(shared, "LINE", 0.0)
+    with shared.stages() as report:
         for done in (0.0, 0.5, 1.0):
             report("stretches", done)
     assert "stretches: 50%" in capsys.readouterr().err

@@ -1,6 +1,5 @@
 """Two runs of real processes to one place: the second is refused, and what a dead one left counts for nothing."""
 
-import json
 import os
 import signal
 import subprocess
@@ -69,17 +68,19 @@ def test_places_that_meet_are_refused(holder, tmp_path, theirs, ours):
         pass
 
 
-def test_another_process_with_the_number_of_a_dead_one_holds_nothing(tmp_path, monkeypatch):
+def test_a_process_meets_itself_not_and_leaves_no_locks(holder, tmp_path, monkeypatch):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
-    position = module._lock_folder()
-    run = {"process": os.getppid(), "born": "1", "files": [str(tmp_path / "out.glb")], "folders": []}
-    (position / "old.json").write_text(json.dumps(run))
-    for number, broken in enumerate(("{", "[]", '{"process": "x"}', "\0")):
-        (position / f"{number}.json").write_text(broken)
-    with exclusive_output([tmp_path / "out.glb"]):
-        assert len(list(position.glob("*.json"))) == 1
-    assert list(position.iterdir()) == []
+    beside = holder("files", tmp_path / "beside.glb")
+    with exclusive_output([tmp_path / "out.glb"]), exclusive_output([tmp_path / "out.glb", tmp_path / "more.glb"]):
+        assert len(list(module._lock_folder().iterdir())) > 3
+    with exclusive_output([tmp_path / "many" / f"{number}.glb" for number in range(1000)]):  # than files can be open
+        pass
+    beside.terminate()
+    beside.wait()
+    with exclusive_output([tmp_path / "beside.glb"]):
+        pass
+    assert list(module._lock_folder().iterdir()) == []
 
 
 def test_a_run_of_the_command_line_is_refused_and_leaves_what_is_there(holder, good, fails, tmp_path):

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from bunraku.cli import main
-from bunraku.cli.outputs import run_results
+from bunraku.cli.shared import run_results
 from bunraku.cli.transfer import Pair
 from bunraku.files.clips import load_animation
 from bunraku_lab.synthetic.stock_motions import stock_motion

@@ -18,7 +18,7 @@ from bunraku import transfer
 from bunraku.cli import main
 from bunraku.cli.animate import characters_of, clips_of, passes
 from bunraku.cli.manifest import note_done
-from bunraku.cli.outputs import run_results, unfinished_results
+from bunraku.cli.shared import run_results, unfinished_results
 from bunraku.cli.transfer import Transfer, batches, pairs_of, transfer_pairs
 from bunraku.core.animation import RigAnimation
 from bunraku.core.body.layout import JOINT_NAMES

@@ -22,7 +22,7 @@ from bunraku.core.body.reference import handle_positions, reference_body, refere
 from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.errors import OptionError
 from bunraku.generation.features import encode, feature_mask
-from bunraku.retarget.to_reference import handle_motion_of_body
+from bunraku_lab.datasets.motions.build import handle_motion_of_body
 
 
 def test_it_is_a_closed_body_of_about_2500_vertices():

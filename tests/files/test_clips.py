@@ -27,7 +27,7 @@ from bunraku.files.gltf.vrma import VRM_BONES
 from bunraku.files.gltf.write import KEY
 from bunraku.files.presets import save_clips
 from bunraku.files.registry import read_motion
-from bunraku.retarget.to_reference import handle_motion_of_body
+from bunraku_lab.datasets.motions.build import handle_motion_of_body
 
 ARRAYS = ("translations", "rotations", "root_translation", "root_rotation")
 

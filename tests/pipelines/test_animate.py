@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import bunraku
+from bunraku.apparel.chains.moving import with_apparel
 from bunraku.apparel.physics.rig import apparel_rig
 from bunraku.cli.app import main
 from bunraku.core.animation import RigAnimation
@@ -18,8 +19,9 @@ from bunraku.errors import CharacterError, OptionError
 from bunraku.files.mmd.write import pmx_bytes, pmx_file
 from bunraku.pipelines.animate import animate, generate, rig
 from bunraku.pipelines.animator import Animator
-from bunraku.pipelines.apply import apply_simulated
-from bunraku.pipelines.requests import Request, Sampling
+from bunraku.pipelines.apply import apply_rigged
+from bunraku.pipelines.requests import Constraints, Request, Sampling
+from bunraku.retarget.rig_parts import RigParts
 from bunraku.retarget.to_rig import fit_rig
 from bunraku_lab.synthetic.samples import make_sample
 from bunraku_lab.synthetic.wardrobe import wardrobe_character
@@ -291,10 +293,12 @@ def test_apparel_swings_and_the_body_does_what_it_does_without(dressed):
 
 
 def test_in_place_goes_nowhere(dressed):
-    motion = generate("a person walks forward", seconds=2.0, steps=5, candidates=1)
-    path = apply_simulated(motion, dressed, in_place=True).world()[1].mean(axis=1)
-    way = apply_simulated(motion, dressed).world()[1].mean(axis=1)
-    assert np.ptp(path[:, 2]) < 0.3 * np.ptp(way[:, 2])
+    motion, parts = generate("a person walks forward", seconds=2.0, steps=5, candidates=1), RigParts.of(dressed)
+    path, way = (
+        np.ptp(with_apparel(apply_rigged(motion, parts, constraints)).world()[1].mean(axis=1)[:, 2])
+        for constraints in (Constraints.of(in_place=True), Constraints())
+    )
+    assert path < 0.3 * way
 
 
 def test_what_cannot_be_simulated_is_refused(dressed):

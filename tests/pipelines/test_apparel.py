@@ -81,17 +81,17 @@ def test_apparel_of_a_mesh_on_handles_moves(animation, weights):
 
 def test_a_mask_file_is_taken(animation, weights, tmp_path):
     np.save(tmp_path / "mask.npy", apron_of(animation).astype(np.float32))
-    result = dressed(animation, str(tmp_path / "mask.npy"))
+    result = dressed(animation, Apparel(str(tmp_path / "mask.npy")))
     assert isinstance(result, PointAnimation)
     saved = result.save(tmp_path / "out.glb")
     assert saved.stat().st_size > 1000
-    assert dressed(animation, "none") is animation and dressed(animation, "rigid") is animation
+    assert dressed(animation, Apparel("none")) is animation and dressed(animation, Apparel("rigid")) is animation
 
 
 def test_what_a_request_knows_of_the_body_is_not_asked_again(animation):
     anatomy = Anatomy.of(animation.character, animation.handles)
     vars(anatomy)["plan"] = replace(anatomy.plan, arms=False, wings=False)  # as if it were no person
-    assert dressed(animation, "auto", anatomy=anatomy) is animation
+    assert dressed(animation, Apparel("auto"), anatomy=anatomy) is animation
 
 
 def test_the_command_and_python_move_apparel_alike_where_nothing_is_said():

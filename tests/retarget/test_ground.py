@@ -29,7 +29,7 @@ from bunraku.retarget.stages.feet import Feet
 from bunraku.retarget.stages.ground import Ground, Soles, enough
 from bunraku.retarget.stages.shape import Smooth
 from bunraku.retarget.stages.stage import sole_points, with_feet_moved
-from bunraku.retarget.to_reference import handle_motion_of_body
+from bunraku_lab.datasets.motions.build import handle_motion_of_body
 from bunraku_lab.datasets.motions.clips import load_clip
 from bunraku_lab.synthetic.samples import make_sample
 
@@ -411,7 +411,7 @@ def slopes(motion: HandleMotion) -> np.ndarray:
 def test_long_feet_are_held_flatter_and_do_not_sink():
     anatomy = footed(2.5)
     off = fit_motion(tiptoeing(), anatomy, replace(Stages(), soles=False, feet=False, floor=False))
-    on = Soles().flatter(off, anatomy)
+    on = Soles().changed(off, anatomy)
     assert slopes(off)[MIDDLE] == pytest.approx(35, abs=3)
     assert slopes(on)[MIDDLE] < 22
     leg = anatomy.legs[0]
@@ -468,7 +468,7 @@ def low(dog, motion, front: bool):
 
 def kept(dog, motion):
     anatomy = named(dog)
-    return Support().kept(motion, anatomy), Support().unsupported(motion, anatomy)
+    return Support().changed(motion, anatomy), Support().unsupported(motion, anatomy)
 
 
 @pytest.mark.parametrize("heading", [0.0, 2.5])

@@ -16,7 +16,8 @@ from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.pipelines.humanoid import humanoid_motion
 from bunraku.pipelines.to_reference import load_motion
 from bunraku.retarget.fit import Stages, fit_motion
-from bunraku.retarget.to_reference import handle_motion_of_body, motion_to_reference
+from bunraku.retarget.to_reference import motion_to_reference
+from bunraku_lab.datasets.motions.build import handle_motion_of_body
 from bunraku_lab.synthetic.samples import make_sample
 
 BARE = Stages(feet=False, smooth=False, floor=False, hands_clear=False)

@@ -31,7 +31,7 @@ from bunraku.pipelines.requests import Request, Sampling
 from bunraku.retarget.engine_skeleton import carried, on_skeleton
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.rig_parts import RigParts, is_humanoid_rig, understood_rig
-from bunraku.retarget.to_reference import handle_animation, rig_to_reference
+from bunraku.retarget.to_reference import bones_to_handles, handle_animation, motion_to_reference
 from bunraku.retarget.to_rig import copied_bones, fit_rig
 from bunraku_lab.synthetic.samples import make_sample
 
@@ -107,7 +107,7 @@ def test_the_way_back():
     reference = body_handle_motion(walking())
     parts = RigParts.of(rested(0.7, 0.9))
     moved = fit_rig(reference, parts, CARRIED)
-    back = rig_to_reference(parts, *moved.world(), 20.0, own=True)
+    back = motion_to_reference(bones_to_handles(parts, *moved.world(), 20.0), parts.anatomy, own=True)
     assert (
         np.degrees(
             np.linalg.norm(
@@ -182,7 +182,9 @@ def test_a_wrist_bone_over_the_hand_leaves_the_turn_to_the_hand():
     turns = np.array(moved.rotations)
     turns[:, 22] = matrix_from_axis_angle(np.array([0.7, 0.2, 0.1]))  # as a clip turns it
     clip = replace(moved, rotations=turns)
-    back = fit_rig(rig_to_reference(found, *clip.world(), 20.0, own=True), found, CARRIED)
+    back = fit_rig(
+        motion_to_reference(bones_to_handles(found, *clip.world(), 20.0), found.anatomy, own=True), found, CARRIED
+    )
     assert np.abs(back.vertices() - clip.vertices()).max() < 0.005 * plain.height
 
 

@@ -156,13 +156,13 @@ def test_a_tail_is_turned_up_where_it_would_sink():
         np.tile(np.eye(3), (FRAMES, 1, 1)), FPS,
     )  # fmt: skip
     floor = float(dog.character.vertices[:, 1].min())
-    assert TailClear().raised(motion, dog.anatomy) is motion
+    assert TailClear().changed(motion, dog.anatomy) is motion
     hangs = matrix_from_axis_angle(-1.4 * np.sin(np.linspace(0, np.pi, FRAMES))[:, None] * np.array([1.0, 0, 0]))
     path, rotations = np.zeros((FRAMES, 3)), motion.rotations.copy()
     path[:, 1], rotations[:, [TAIL, TIP]] = -0.55 * dog.character.height, hangs[:, None]
     motion = replace(motion, rotations=rotations, root_translation=path)
     motion = attached(motion, dog)
-    raised = TailClear().raised(motion, dog.anatomy)
+    raised = TailClear().changed(motion, dog.anatomy)
     held = dog.handles.weights[:, [TAIL, TIP]].sum(axis=1) > 0.9
     low = [
         Animation(dog.character, dog.handles, one).vertices()[:, held, 1].min(axis=1) - floor

@@ -81,12 +81,18 @@ def cases(hints, each=None):
                 yield kind, {**valid, name: value}
 
 
+def forms_of_routes():
+    """What the body of a route is read as, by path and method."""
+    from bunraku.studio.server.app import API
+
+    return {(path, method): getattr(handler, "form", None) for path, methods, handler in API for method in methods}
+
+
 def test_hints_that_are_read_at_run_time_resolve():
     from bunraku.pipelines.requests import CONSTRAINTS
-    from bunraku.studio.server.app import READS
     from bunraku.studio.tasks import TASKS
 
-    kinds = [*TASKS.values(), *READS.values()]
+    kinds = [*TASKS.values(), *filter(None, forms_of_routes().values())]
     kinds += [getattr(importlib.import_module(home.split(":")[0]), home.split(":")[1]) for home in CONSTRAINTS.values()]
     for kind in kinds:
         if getattr(kind, "from_json", Constraint.from_json).__func__ is Constraint.from_json.__func__:
@@ -120,11 +126,9 @@ def test_every_tool_of_mcp(tmp_path):
 
 
 def test_every_route(client, ready, monkeypatch):
-    from bunraku.studio.server.app import READS
-
     monkeypatch.setattr("bunraku.studio.routes.takes.PATIENCE", 0)  # nobody works here
 
-    state, count = client.app.state.studio, 0
+    state, count, forms = client.app.state.studio, 0, forms_of_routes()
     made = state.new_takes(ready, 1, how="animate", script=[{"text": "walks", "seconds": 2}], seeds=[0])[0]["id"]
     state.store.change("takes", made, state="done", skin="handles", frames=40, seconds=2.0)
     query = ["name", "q", "tag", "after", "sample", "apparel", "stiffness", "onto", "skin"]
@@ -132,7 +136,7 @@ def test_every_route(client, ready, monkeypatch):
         for method in methods:
             if path == "/login":
                 continue
-            form = READS.get((path, method.upper()))
+            form = forms[path, method.upper()]
             bodies = [given for _, given in cases(get_type_hints(form), each=2)] if form else []
             bodies += [b"", b"{", b"[]", b'{"a": "\\ud800"}', b'{"view": 5}', b'{"text": 5}', b"\xff" * 100]
             owner = made if path.startswith("/takes") else ready

@@ -11,37 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from bunraku.cli import options, shared
 from bunraku.cli.manifest import exclusive_output, fingerprint, is_result
-from bunraku.cli.options import (
-    ApparelOptions,
-    DirectingOptions,
-    GeneratingOptions,
-    ProgramOption,
-    SkeletonOption,
-    parse_jobs,
-)
-from bunraku.cli.outputs import (
-    Result,
-    check_folder,
-    check_input,
-    check_mask,
-    check_output,
-    check_outputs,
-    check_sequence,
-    check_written,
-    fitting_stages,
-    make_results,
-    save_all,
-    save_clips_to,
-    slug,
-    stages,
-    unfinished_results,
-    written_files,
-    written_path,
-)
 from bunraku.core.request import SECONDS, TAKES, Progress
 from bunraku.errors import FormatError, OptionError, sentence_of
 from bunraku.pipelines.requests import Request
+from bunraku.retarget.stages import Stages
 
 if TYPE_CHECKING:
     from bunraku.core.animation import AnimatedCharacter
@@ -62,7 +37,7 @@ def read_lines(path: Path, seconds: float, force: bool, named: bool = False) -> 
         FormatError: The file is missing, or is no text.
         OptionError: It holds no prompt or too many, or one cannot be generated; the message names its line.
     """
-    check_input(path)
+    shared.check_input(path)
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except UnicodeDecodeError:
@@ -71,7 +46,7 @@ def read_lines(path: Path, seconds: float, force: bool, named: bool = False) -> 
     for number, line in enumerate(lines, 1):
         if line.strip():
             try:
-                prompts.append(check_sequence(line.strip(), seconds, force, named))
+                prompts.append(shared.check_sequence(line.strip(), seconds, force, named))
             except OptionError as error:
                 raise type(error)(f"{path}, line {number}: {error}") from None
     if not 1 <= len(prompts) <= LIMIT:
@@ -98,36 +73,27 @@ def characters_of(folder: Path) -> dict[Path, str]:
 
 
 @dataclass(frozen=True)
-class Clip(Result):
-    """A clip of one prompt; the character is the first of its `inputs`.
+class Clip(shared.Result):
+    """A clip of one prompt; the character is the first of its `inputs`."""
 
-    Args:
-        number: Which of the prompts of its pass it shows.
-        beside: All prompts of that pass, which are generated along, so that a clip has the same bytes whether those
-            beside it are wanted or not.
-    """
-
-    number: int = 0
+    number: int = 0  # which of the prompts of its pass it shows
+    # All prompts of that pass, which are generated along, so that a clip has the same bytes whether those beside it are
+    # wanted or not.
     beside: tuple[str, ...] = ()
 
 
 def clips_of(
     folder: Path, character: Path, prompts: list[str], at_once: int, mark: Callable[[Path, str], str]
 ) -> list[Clip]:
-    """A clip of a character for each prompt, its file named after its number and words.
-
-    Args:
-        folder: Of all files.
-        character: The file of the character.
-        prompts: What it does.
-        at_once: Prompts in one pass of the network.
-        mark: Gives the fingerprint of a character's clip of a prompt.
+    """A clip of the character of a file for each prompt, its file in the folder named after its number and words.
+    `mark` gives the fingerprint of a character's clip of a prompt, and `at_once` prompts go through one pass of the
+    network.
     """
     out = []
     for number, prompt in enumerate(prompts):
         first = number - number % at_once
         beside = tuple(prompts[first : first + at_once])
-        path = folder / f"{number + 1:03d}-{slug(prompt)}.glb"
+        path = folder / f"{number + 1:03d}-{shared.slug(prompt)}.glb"
         out.append(Clip(path, (character,), mark(character, prompt), number - first, beside))
     return out
 
@@ -145,7 +111,7 @@ def passes(clips: list[Clip]) -> list[list[Clip]]:
 
 
 @dataclass(frozen=True)
-class Animate(GeneratingOptions):
+class Animate(options.GeneratingOptions):
     """Make a character do what a sentence says.
 
     The character is a .glb, .gltf, .vrm, .pmx, .pmd, .fbx, .obj, .ply or .stl file; it needs no rig. The animation is
@@ -181,22 +147,19 @@ class Animate(GeneratingOptions):
     """Keep what the GLB that -o names holds, and add to its clips; it may be CHARACTER itself."""
     jobs: Annotated[str, tyro.conf.arg(metavar="{N,ray}")] = "1"
     """How many processes share the clips of --prompts or of a folder, or "ray" for a Ray cluster."""
-    apparel: tyro.conf.OmitArgPrefixes[ApparelOptions] = field(default_factory=ApparelOptions)
+    apparel: tyro.conf.OmitArgPrefixes[options.ApparelOptions] = field(default_factory=options.ApparelOptions)
     """How hair and clothes move."""
     rig: Literal["auto", "own", "handles"] = "auto"
     """What is moved. "own": the bones of the file's skeleton, which keeps its names, weights and other clips.
     "handles": the 30 handles. "auto": the bones where Bunraku understands them (of a person, a four-legged animal or a
     bird), the handles elsewhere.
     """
-    skeleton: SkeletonOption = None
-    """For people: move a skeleton that is made of the handles, in a T-pose and with the names of Mixamo, VRM or Unreal,
-    as the humanoid retargeting of engines needs it.
-    """
-    program: ProgramOption = None
+    skeleton: options.SkeletonOption = None
+    program: options.ProgramOption = None
     """Write the file that a program wants: its format, axes and unit, frame rate, names of joints for persons without a
     skeleton of their own, and where the travel is (docs/engines.md). A prompt of a walk or another cycle makes a loop.
     """
-    directing: tyro.conf.OmitArgPrefixes[DirectingOptions] = field(default_factory=DirectingOptions)
+    directing: tyro.conf.OmitArgPrefixes[options.DirectingOptions] = field(default_factory=options.DirectingOptions)
     """What the motion must meet."""
     takes: int = 1
     """Write several takes of one prompt, 1 to 100: NAME-1.glb, NAME-2.glb and so on, with seeds that follow --seed."""
@@ -209,17 +172,17 @@ class Animate(GeneratingOptions):
         if self.program is not None and (batch or self.add):
             raise OptionError("--for writes the clips of one character at once; leave out --add, or say --one-file")
         if not batch:
-            check_input(self.character)
+            shared.check_input(self.character)
         after = self.directing.after
         if after is not None:
-            check_input(after)
+            shared.check_input(after)
         self.apparel.check("--")
-        check_mask(self.apparel)
+        shared.check_mask(self.apparel)
         self._request().check("--")
         if self.skeleton is not None and self.rig != "auto":
             raise OptionError("--skeleton says what is moved; leave out --rig")
         TAKES.check(self.takes, "--takes")
-        jobs = parse_jobs(self.jobs)
+        jobs = options.parse_jobs(self.jobs)
         if batch:
             return self._many([sentence.prompt for sentence in prompts], jobs)
         if jobs != 1:
@@ -228,19 +191,19 @@ class Animate(GeneratingOptions):
             return self._one_file(prompts)
         if prompts[0].seconds > SECONDS.high:
             return self._long(prompts[0])
-        named = self.output or (Path(f"{self.character.stem}-{slug(self.prompt[0])}.glb"),)
+        named = self.output or (Path(f"{self.character.stem}-{shared.slug(self.prompt[0])}.glb"),)
         takes = [_numbered(named, self.preview, take, self.takes) for take in range(self.takes)]
         inputs = [self.character] + ([after] if after else [])
-        with exclusive_output(written_path(path) for outputs, previews in takes for path in (*outputs, *previews)):
+        with exclusive_output(shared.written_path(path) for take in takes for paths in take for path in paths):
             for outputs, previews in takes:
-                check_outputs(outputs, previews, inputs, overwrite=self.overwrite)
-                check_written(self.apparel, outputs)
+                shared.check_outputs(outputs, previews, inputs, overwrite=self.overwrite)
+                shared.check_written(self.apparel, outputs)
             self._make(replace(self._request(), sentence=prompts[0]), takes)
         return 0
 
     def _make(self, request: Request, takes: list[tuple[tuple[Path, ...], tuple[Path, ...]]]) -> None:
         """Make and write each take: its files and its previews."""
-        with stages() as report:
+        with shared.stages() as report:
             body, request = _ready(self, request, self.character, report)
 
             from bunraku.pipelines.animator import Animator
@@ -248,19 +211,19 @@ class Animate(GeneratingOptions):
             animator = Animator.shipped(report, _limits_said(self.character, body))
             for take, (outputs, previews) in enumerate(takes):
                 animation = animator(body, request.with_seed(self.sampling.seed + take))
-                save_all(animation, outputs, previews, self.fps, report)
+                shared.save_all(animation, outputs, previews, self.fps, report)
 
     def _long(self, sentence: Sentence) -> int:
         """Make a clip stretch by stretch, and write it as it comes."""
-        named = self.output or (Path(f"{self.character.stem}-{slug(self.prompt[0])}.glb"),)
+        named = self.output or (Path(f"{self.character.stem}-{shared.slug(self.prompt[0])}.glb"),)
         if self.preview or self.takes > 1 or len(named) > 1:
             raise OptionError(
                 f"a clip of more than {SECONDS.high:g} seconds goes into one GLB, without --preview and --takes; leave "
                 "these out, or make it shorter"
             )
         with exclusive_output(named):
-            check_outputs(named, (), [self.character], (".glb",), overwrite=self.overwrite)
-            with stages() as report:
+            shared.check_outputs(named, (), [self.character], (".glb",), overwrite=self.overwrite)
+            with shared.stages() as report:
                 body, request = _ready(self, self._request(), self.character, report)
 
                 from bunraku.files import write_stretches
@@ -268,7 +231,7 @@ class Animate(GeneratingOptions):
 
                 animator = Animator.shipped(report, _limits_said(self.character, body))
                 stretches = animator.stretches(body, replace(request, sentence=sentence))
-                with written_files() as written:
+                with shared.written_files() as written:
                     written.append(write_stretches(stretches, named[0], fps=self.fps))
         return 0
 
@@ -287,9 +250,9 @@ class Animate(GeneratingOptions):
         files = named if row is None else tuple(file for path in named for file in row.files(path, names))
         with exclusive_output(files):
             for path in named:
-                check_output(path, suffixes, [] if self.add else inputs)
-            check_outputs(files, (), [] if self.add else inputs, suffixes, overwrite=self.overwrite or self.add)
-            with stages() as report:
+                shared.check_output(path, suffixes, [] if self.add else inputs)
+            shared.check_outputs(files, (), [] if self.add else inputs, suffixes, overwrite=self.overwrite or self.add)
+            with shared.stages() as report:
                 body, request = _ready(self, self._request(), self.character, report)
                 say = _limits_said(self.character, body)
 
@@ -299,14 +262,14 @@ class Animate(GeneratingOptions):
                     name: replace(request, sentence=sentence) for name, sentence in zip(names, sentences, strict=True)
                 }
                 clips = dict(Animator.shipped(report, say).clips(body, with_loops(requests)))
-                save_clips_to(clips, named, self.fps, self.add, report, row)
+                shared.save_clips_to(clips, named, self.fps, self.add, report, row)
         return 0
 
     def _request(self) -> Request:
         """What is requested; the clip that is followed is only named."""
         return Request(
             self.prompt[0] if self.prompt else "", self.sampling, self.directing.constraints(), self.apparel,
-            fitting_stages(self.without, shape=True), self.handles, self.force, self.rig,
+            Stages(shape=True).without(self.without, "--without"), self.handles, self.force, self.rig,
         )  # fmt: skip
 
     def _batch(self) -> bool:
@@ -317,7 +280,7 @@ class Animate(GeneratingOptions):
         if self.character.is_dir():
             characters = characters_of(self.character)
         else:
-            check_input(self.character)
+            shared.check_input(self.character)
             characters = {self.character: ""}
         folder = self.output[0] if self.output else Path(f"{self.character.resolve().stem or 'all'}-clips")
         if folder.is_dir() and self.character.is_dir() and folder.samefile(self.character):
@@ -330,28 +293,28 @@ class Animate(GeneratingOptions):
         from bunraku.pipelines.animator import AT_ONCE
 
         if self.character.is_dir() and not folder.is_file():
-            check_folder(folder)
+            shared.check_folder(folder)
             folder.mkdir(exist_ok=True)  # each character gets a folder in it
         clips: list[Clip] = []
         for character, name in characters.items():
             target = folder / name
             if target.is_file():
                 raise FormatError(target, "this is a file; name a folder with -o, where each prompt gets a file")
-            check_folder(target)
+            shared.check_folder(target)
             clips += clips_of(target, character, prompts, AT_ONCE, self._mark)
-        todo = unfinished_results(clips, self.overwrite, "clips")
+        todo = shared.unfinished_results(clips, self.overwrite, "clips")
         mask = self.apparel.mask
         here = self if mask is None else replace(self, apparel=replace(self.apparel, motion=str(mask.resolve())))
-        with stages() as report:
+        with shared.stages() as report:
             if todo and len(characters) == 1 and jobs == 1:  # its faults end the command before any clip is begun
                 _kept(here, next(iter(characters)))
-            return make_results(partial(_clips, here), passes(todo), jobs, "clips", report)
+            return shared.make_results(partial(_clips, here), passes(todo), jobs, "clips", report)
 
     def _mark(self, character: Path, prompt: str) -> str:
         """What a clip is made of."""
         same = {"output", "preview", "overwrite", "character", "prompt", "prompts", "jobs", "one_file", "add"}
-        options = {name: value for name, value in asdict(self).items() if name not in same}
-        return fingerprint([character], "animate", prompt, options)
+        facts = {name: value for name, value in asdict(self).items() if name not in same}
+        return fingerprint([character], "animate", prompt, facts)
 
     def _prompts(self) -> list[Sentence]:
         """All prompts, parsed."""
@@ -370,7 +333,7 @@ class Animate(GeneratingOptions):
             several = self.add or len(self.prompt) > 1
             _check_quotes(self.prompt)
             prompts = self.prompt or ("",)
-            return [check_sequence(prompt, self.sampling.seconds, self.force, several) for prompt in prompts]
+            return [shared.check_sequence(prompt, self.sampling.seconds, self.force, several) for prompt in prompts]
         return read_lines(self.prompts, self.sampling.seconds, self.force, self.one_file)
 
 

@@ -57,13 +57,8 @@ def all_verbs() -> Verbs:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command.
-
-    Args:
-        argv: The words after the program's name; those of the process by default.
-
-    Returns:
-        The exit status: 0 done, 2 something that the user can fix, 130 interrupted, 1 a fault of Bunraku itself.
+    """Run one command, by default that of the process, and give its exit status: 0 done, 2 something that the user can
+    fix, 130 interrupted, 1 a fault of Bunraku itself.
     """
     words = list(sys.argv[1:] if argv is None else argv)
     debug = os.environ.get("BUNRAKU_DEBUG", "") not in ("", "0") or "--debug" in words

@@ -10,20 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from bunraku.cli import shared
 from bunraku.cli.manifest import check_free, exclusive_output
 from bunraku.cli.options import WhichOptions
-from bunraku.cli.outputs import (
-    OutputOption,
-    PreviewOption,
-    check_folder,
-    check_input,
-    check_output,
-    check_outputs,
-    save_all,
-    stages,
-    written_path,
-    wrote,
-)
 from bunraku.core.files import atomic_write
 from bunraku.core.request import FPS, SECONDS, Progress
 from bunraku.errors import OptionError
@@ -49,7 +38,7 @@ class Clips:
     """Print JSON for programs."""
     character: Path | None = None
     """Put the first clip that is found on this character; without it, --output gets the reference body's motion."""
-    output: OutputOption = ()
+    output: shared.OutputOption = ()
     """File to write the first clip to. May be given more than once. Default with --character:
     CHARACTER-CLIP.glb in this folder.
     """
@@ -57,12 +46,9 @@ class Clips:
     """Length of the clip: one that loops is repeated, others are held at their end. Default: its own length."""
     loop: bool = False
     """Write full rounds of a clip that loops, so that its first frame follows its last."""
-    fps: float = 30.0
-    """Frames a second of the file, 1 to 240."""
-    overwrite: bool = False
-    """Replace files that are there already and that Bunraku did not write."""
-    preview: PreviewOption = ()
-    """Also make a video (.mp4, .webp, .gif) or a contact sheet (.png). May be given more than once."""
+    fps: shared.FpsOption = 30.0
+    overwrite: shared.OverwriteOption = False
+    preview: shared.PreviewOption = ()
     standing: tyro.conf.OmitArgPrefixes[WhichOptions] = field(default_factory=WhichOptions)
     """How the character's file is read."""
 
@@ -84,7 +70,7 @@ class Clips:
 
     def _print(self, found: list[Clip]) -> None:
         if self.json:
-            print(json.dumps([facts_of(clip) for clip in found], indent=2, ensure_ascii=False))
+            print(json.dumps([clip.facts for clip in found], indent=2, ensure_ascii=False))
             return
         for clip in found:
             print(f"{clip.name:24} {clip.seconds:5.1f} s {'loop' if clip.loops else '    '}  {clip.sentence}")
@@ -94,12 +80,12 @@ class Clips:
     def _write(self, clip: Clip) -> None:
         inputs = [] if self.character is None else [self.character]
         for path in inputs:
-            check_input(path)
+            shared.check_input(path)
         stem = None if self.character is None else f"{self.character.stem}-{clip.name}"
         outputs = self.output or ((Path(f"{stem}.glb"),) if stem else ())
-        with exclusive_output(written_path(path) for path in (*outputs, *self.preview)), stages() as report:
-            check_outputs(outputs, self.preview, inputs, overwrite=self.overwrite)
-            save_all(self._animation(clip, report), outputs, self.preview, self.fps, report)
+        with exclusive_output(map(shared.written_path, (*outputs, *self.preview))), shared.stages() as report:
+            shared.check_outputs(outputs, self.preview, inputs, overwrite=self.overwrite)
+            shared.save_all(self._animation(clip, report), outputs, self.preview, self.fps, report)
         print(f"{clip.name}: {clip.source.credit}; {clip.source.terms}", file=sys.stderr)
 
     def _animation(self, clip: Clip, report: Progress) -> AnimatedCharacter:
@@ -115,14 +101,6 @@ class Clips:
         )
 
 
-def facts_of(clip: Clip) -> dict[str, object]:
-    """A clip in values that JSON can say."""
-    return {
-        "name": clip.name, "sentence": clip.sentence, "seconds": clip.seconds, "loops": clip.loops,
-        "tags": list(clip.tags), "credit": clip.source.credit, "terms": clip.source.terms,
-    }  # fmt: skip
-
-
 @dataclass(frozen=True)
 class Samples:
     """Write the sample characters as GLB files, and what else the docs use: a mesh without a skeleton, a rigged one, a
@@ -135,8 +113,7 @@ class Samples:
     """Which ones; all of them by default."""
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path(".")
     """Folder to write to, made when it is missing; or the file of one sample, with the same suffix."""
-    overwrite: bool = False
-    """Replace other files that have a sample's name."""
+    overwrite: shared.OverwriteOption = False
     list: bool = False
     """Only print the names."""
 
@@ -153,9 +130,9 @@ class Samples:
         if one_file:
             if len(names) > 1:
                 raise OptionError(f"{len(names)} samples do not go into one file; name a folder, not {self.output}")
-            check_output(self.output, (Path(files[names[0]]).suffix,))
+            shared.check_output(self.output, (Path(files[names[0]]).suffix,))
         else:
-            check_folder(self.output)
+            shared.check_folder(self.output)
         paths = {name: self.output if one_file else self.output / files[name] for name in names}
         with exclusive_output(paths.values()):
             data = {name: sample_bytes(files[name]) for name in names}
@@ -166,4 +143,4 @@ class Samples:
             for name in todo:
                 with atomic_write(paths[name]) as file:
                     file.write(data[name])
-                wrote(paths[name])
+                shared.wrote(paths[name])

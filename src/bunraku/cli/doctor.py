@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass
 from importlib import metadata
 from pathlib import Path
 
-from bunraku.cli.outputs import size_text
+from bunraku.cli.shared import size_text
 
 PACKAGES = ("numpy", "scipy", "fast-simplification", "av")
 WEIGHTS = {
@@ -44,13 +44,8 @@ EXTRAS = {
 
 @dataclass(frozen=True)
 class Finding:
-    """One line of the report.
-
-    Args:
-        topic: What was looked at.
-        state: "ok", "optional" (missing, and nothing is broken without it) or "missing".
-        detail: What was found.
-        cost: What the user loses, where something is not there.
+    """One line of the report: what was looked at, and found; its state, "ok", "optional" (missing, and nothing is
+    broken without it) or "missing"; and what the user loses where it is not there.
     """
 
     topic: str

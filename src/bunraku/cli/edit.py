@@ -12,22 +12,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from bunraku.cli import shared
 from bunraku.cli.manifest import exclusive_output
 from bunraku.cli.options import EditSamplingOptions, GeneratingOptions, PinOption, WhichOptions, parse_pin
-from bunraku.cli.outputs import (
-    OutputOption,
-    check_input,
-    check_outputs,
-    fitting_stages,
-    save_all,
-    slug,
-    stages,
-    written_files,
-    written_path,
-)
 from bunraku.core.request import FPS, Progress
 from bunraku.errors import OptionError
 from bunraku.pipelines.requests import Constraints, Keep, Pose, Request
+from bunraku.retarget.stages import Stages
 
 if TYPE_CHECKING:
     from bunraku.core.animation import Animation
@@ -59,9 +50,6 @@ class Edit(GeneratingOptions):
     pose: Annotated[tuple[float, ...], tyro.conf.arg(metavar="TIME"), tyro.conf.UseAppendAction] = ()
     """Seconds of a pose that stays; what is between such poses is generated. May be given more than once."""
     pin: PinOption = ()
-    """Where the wrist of a hand or the ankle of a foot is at a time, such as left_hand@2.0=0.3,1.4,0.2. May be given
-    more than once.
-    """
     character: Path | None = None
     """The character that an .npz clip was made for; without it the clip is edited and given back as one of the
     reference body.
@@ -82,10 +70,10 @@ class Edit(GeneratingOptions):
         request.check("--", clip=True)
         inputs = [self.clip] + ([self.character] if self.character else [])
         for path in inputs:
-            check_input(path)
-        outputs = self.output or (Path(f"{self.clip.stem}-{slug(self.prompt)}{self.clip.suffix.lower()}"),)
-        with exclusive_output(written_path(path) for path in (*outputs, *self.preview)), stages() as report:
-            check_outputs(outputs, self.preview, inputs, overwrite=self.overwrite)
+            shared.check_input(path)
+        outputs = self.output or (Path(f"{self.clip.stem}-{shared.slug(self.prompt)}{self.clip.suffix.lower()}"),)
+        with exclusive_output(map(shared.written_path, (*outputs, *self.preview))), shared.stages() as report:
+            shared.check_outputs(outputs, self.preview, inputs, overwrite=self.overwrite)
             report("load", 0.0)
             clip = self._animation(report)
             report("load", 1.0)
@@ -93,7 +81,7 @@ class Edit(GeneratingOptions):
             from bunraku.pipelines.animate import edited
             from bunraku.pipelines.animator import Animator
 
-            save_all(edited(Animator.shipped(report), clip, request), outputs, self.preview, self.fps, report)
+            shared.save_all(edited(Animator.shipped(report), clip, request), outputs, self.preview, self.fps, report)
 
     def request(self) -> Request:
         """What is requested."""
@@ -102,7 +90,7 @@ class Edit(GeneratingOptions):
         pins = [parse_pin(pin) for pin in self.pin]
         return Request(
             self.prompt, self.sampling, Constraints((*stays, *map(Pose, self.pose), *pins)),
-            stages=fitting_stages(self.without), force=self.force,
+            stages=Stages().without(self.without, "--without"), force=self.force,
         )  # fmt: skip
 
     def _animation(self, report: Progress) -> Animation:
@@ -134,11 +122,7 @@ class Edit(GeneratingOptions):
 
 
 def parse_span(text: str) -> tuple[float, float]:
-    """Seconds of "1.0:3.0".
-
-    Raises:
-        OptionError: It is no such span.
-    """
+    """Seconds of "1.0:3.0"; OptionError for other texts."""
     start, colon, end = text.partition(":")
     try:
         span = float(start), float(end)
@@ -160,27 +144,25 @@ class Merge:
 
     files: tyro.conf.Positional[tuple[Path, ...]]
     """Two or more GLB, glTF or VRM files of one character."""
-    output: OutputOption = ()
+    output: shared.OutputOption = ()
     """GLB to write. May be given more than once. Default: FIRST-merged.glb in this folder."""
     end_to_start: bool = False
     """Write all clips in a row as one clip; each starts where the one before ends."""
-    fps: float = 30.0
-    """Frames a second of that clip, 1 to 240."""
-    overwrite: bool = False
-    """Replace files that are there already and that Bunraku did not write."""
+    fps: shared.FpsOption = 30.0
+    overwrite: shared.OverwriteOption = False
 
     def run(self) -> None:
         FPS.check(self.fps, "--fps")
         if len(self.files) < (1 if self.end_to_start else 2):
             raise OptionError("name the files whose clips are joined, two or more; one is enough with --end-to-start")
         for path in self.files:
-            check_input(path)
+            shared.check_input(path)
         outputs = self.output or (Path(f"{self.files[0].stem}-merged.glb"),)
         with exclusive_output(outputs):
-            check_outputs(outputs, (), self.files, (".glb",), overwrite=self.overwrite)
+            shared.check_outputs(outputs, (), self.files, (".glb",), overwrite=self.overwrite)
 
             from bunraku.files import merge
 
-            with written_files() as written:
+            with shared.written_files() as written:
                 for path in outputs:
                     written.append(merge(self.files, path, end_to_start=self.end_to_start, fps=self.fps))

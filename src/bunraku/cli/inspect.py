@@ -12,7 +12,7 @@ import tyro
 
 from bunraku.cli.manifest import check_free, note_written
 from bunraku.cli.options import UnitOption
-from bunraku.cli.outputs import check_input, check_output, size_text, wrote
+from bunraku.cli.shared import OverwriteOption, check_input, check_output, size_text, wrote
 from bunraku.core.character import Character
 from bunraku.errors import CharacterError, WeightsError
 
@@ -196,8 +196,7 @@ class Inspect:
     """Write what is guessed about axes, joints and pieces to a TOML file, for you to correct. Of girl.obj, the file
     girl.body.toml beside it counts.
     """
-    overwrite: bool = False
-    """Replace a file that is there already and that Bunraku did not write."""
+    overwrite: OverwriteOption = False
 
     def run(self) -> None:
         check_input(self.file)
@@ -261,11 +260,8 @@ class Inspect:
 
 
 def describe(path: Path, unit: str = "auto") -> dict[str, Any]:
-    """What a file holds, in values that JSON can say; lengths in metres and seconds.
-
-    Raises:
-        FormatError: The file cannot be read.
-        CharacterError: It holds no mesh that can be animated.
+    """What a file holds, in values that JSON can say; lengths in metres and seconds. FormatError where it cannot be
+    read, CharacterError where it holds no mesh that can be animated.
     """
     facts: dict[str, Any] = {"file": str(path), "bytes": path.stat().st_size}
     if path.suffix.lower() in (".npz", ".npy", ".bvh", ".vrma"):

@@ -7,16 +7,13 @@ import hashlib
 import json
 import os
 import tempfile
-import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bunraku.core.files import is_alive, remove_leftovers
-from bunraku.core.request import from_json, to_json
-from bunraku.errors import BunrakuError, FormatError
+from bunraku.core.files import remove_leftovers
+from bunraku.errors import FormatError
 
 SINGLE = "single"
 """The mark of results that no batch made."""
@@ -25,11 +22,8 @@ _MOST_JSON = 64 << 20  # of a GLB whose maker is looked up [bytes]
 
 
 def fingerprint(inputs: Iterable[Path], *facts: Any) -> str:
-    """A short text that changes with the path, size or time of an input, with the facts, and with the version.
-
-    Args:
-        inputs: Files, or folders of files.
-        *facts: All options that change the result, of types that JSON has.
+    """A short text that changes with the path, size or time of an input, a file or a folder of files, with the version,
+    and with the facts, all options that change the result, of types that JSON has.
     """
     from bunraku import __version__
 
@@ -41,14 +35,8 @@ def fingerprint(inputs: Iterable[Path], *facts: Any) -> str:
 
 
 def unfinished(marks: Mapping[Path, str], overwrite: bool = False) -> list[Path]:
-    """Which results are still to be made.
-
-    Args:
-        marks: The fingerprint of each result, a file or a folder of files; all lie in one folder.
-        overwrite: Also make those in whose path something else lies.
-
-    Raises:
-        FormatError: Something else lies in the path of a result.
+    """Which results of one folder, each a file or a folder of files with its fingerprint, are still to be made.
+    FormatError where something else lies in the path of one, unless that may be overwritten.
     """
     if not marks:
         return []
@@ -81,16 +69,9 @@ def note_done(path: Path, mark: str) -> None:
 
 
 def check_free(paths: Iterable[Path], overwrite: bool, ours: bool = True) -> None:
-    """Make sure that single results replace nothing but what Bunraku wrote. What killed runs left half-done beside them
-    is removed.
-
-    Args:
-        paths: Files, or folders of files.
-        overwrite: Whether anything may be replaced.
-        ours: Whether what Bunraku wrote may be.
-
-    Raises:
-        FormatError: Something else lies in the path of a result.
+    """Raise FormatError where single results, files or folders of files, would replace something else than Bunraku
+    wrote, or even that where it is not `ours`; not with `overwrite`. What killed runs left half-done beside them is
+    removed.
     """
     paths = list(paths)
     for folder in {path.parent for path in paths}:
@@ -191,115 +172,82 @@ def _ends_whole(path: Path) -> bool:
         return file.read(1) == b"\n"
 
 
-GUARD = "guard"
-GUARD_SECONDS = 5.0
-"""A guard that is older was left by a process that died within the milliseconds for which it is held."""
-
-
-@dataclass(frozen=True)
-class _Run:
-    """A run that writes.
-
-    Args:
-        process: Its id.
-        born: When the process began, as the system counts; "" where that is not known.
-        files: Files that it writes, absolute.
-        folders: Folders that it fills.
-    """
-
-    process: int
-    born: str
-    files: tuple[str, ...] = ()
-    folders: tuple[str, ...] = ()
-
-    def meets(self, other: _Run) -> str:
-        """A path that both write, "" for none."""
-        for run, beside in ((self, other), (other, self)):
-            for path in (*run.files, *run.folders):
-                inside = any(Path(folder) in Path(path).parents for folder in beside.folders)
-                if inside or path in (*beside.files, *beside.folders):
-                    return path
-        return ""
-
-    @property
-    def alive(self) -> bool:
-        """Whether it still runs."""
-        return is_alive(self.process) and _born(self.process) == self.born
+MOST_LOCKS = 200
+"""Files that are locked one by one; the folders of more are locked, since a process has about 1,000 open files."""
+_HELD: set[str] = set()
+"""Paths that this process has locked."""
 
 
 @contextmanager
 def exclusive_output(files: Iterable[Path] = (), folders: Iterable[Path] = ()) -> Iterator[None]:
-    """While this lasts, no other run writes to these files, nor into these folders; FormatError where another run
+    """While this lasts, no other process writes to these files, nor into these folders; FormatError where another one
     writes there.
+
+    What is written is locked for this process alone, and all folders above it for this process and others that write
+    elsewhere in them. The system gives back the locks of a process that dies.
     """
-    written, filled = (tuple(os.path.realpath(path) for path in paths) for paths in (files, folders))
-    run = _Run(os.getpid(), _born(os.getpid()), written, filled)
-    lock = _lock_folder()
-    if lock is None:  # a machine without a temporary folder has bigger troubles
+    written = {os.path.realpath(path) for path in files}
+    written = written if len(written) <= MOST_LOCKS else {os.path.dirname(path) for path in written}
+    written |= {os.path.realpath(path) for path in folders}
+    above = {str(folder) for path in written for folder in Path(path).parents} - written
+    home = _lock_folder()
+    if home is None:
         yield
         return
-    mark = lock / f"{run.process}-{time.monotonic_ns()}.json"
-    with _guarded(lock):
-        for file in lock.glob("*.json"):
-            other = _read(file)
-            if other is None or not other.alive:
-                file.unlink(missing_ok=True)
-            elif other.process != run.process and (met := run.meets(other)):
-                raise FormatError(
-                    met,
-                    f"another run of Bunraku (process {other.process}) is writing here; wait until it is done, or "
-                    "choose another path with -o",
-                )
-        mark.write_text(json.dumps(to_json(run)), encoding="utf-8")
+    locks: dict[str, tuple[Path, int]] = {}
     try:
+        for path in sorted((written | above) - _HELD):
+            file = home / hashlib.sha256(path.encode()).hexdigest()[:32]
+            locks[path] = file, _locked(file, path, path in written)
+        _HELD.update(locks)
         yield
     finally:
-        with suppress(OSError):
-            mark.unlink(missing_ok=True)
+        _HELD.difference_update(locks)
+        for file, lock in locks.values():
+            _unlock(file, lock)
 
 
 def _lock_folder() -> Path | None:
-    """The folder of the runs' files, which only this user may read."""
+    """The folder of the locks, which only this user may read; None where the system has no such locks."""
     try:
+        import fcntl  # noqa: F401 -- not on Windows
+
         folder = Path(tempfile.gettempdir()) / f"bunraku-runs-{getpass.getuser()}"
         folder.mkdir(mode=0o700, exist_ok=True)
-        mine = not hasattr(os, "getuid") or folder.stat().st_uid == os.getuid()
+        mine = folder.stat().st_uid == os.getuid()
         return folder if mine and not folder.is_symlink() and os.access(folder, os.W_OK) else None
     except (OSError, KeyError, ImportError):  # the user has no name
         return None
 
 
-@contextmanager
-def _guarded(folder: Path) -> Iterator[None]:
-    """While this lasts, no other run looks or writes in the folder."""
-    guard, until = folder / GUARD, time.monotonic() + 2 * GUARD_SECONDS
+def _locked(file: Path, path: str, alone: bool) -> int:
+    """The open file that locks a path, for this process alone or for others too."""
+    import fcntl
+
     while True:
+        lock = os.open(file, os.O_RDWR | os.O_CREAT, 0o600)
         try:
-            os.close(os.open(guard, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
-            break
-        except FileExistsError:
-            with suppress(OSError):
-                if time.time() - guard.stat().st_mtime > GUARD_SECONDS:
-                    guard.unlink()
-            if time.monotonic() > until:
-                break
-            time.sleep(0.01)
-    try:
-        yield
-    finally:
-        guard.unlink(missing_ok=True)
+            fcntl.flock(lock, (fcntl.LOCK_EX if alone else fcntl.LOCK_SH) | fcntl.LOCK_NB)
+        except OSError:
+            holder = os.read(lock, 20).decode("ascii", "replace").strip()
+            os.close(lock)
+            raise FormatError(
+                path,
+                f"another run of Bunraku (process {holder}) is writing here; wait until it is done, or choose another "
+                "path with -o",
+            ) from None
+        with suppress(FileNotFoundError):  # where the process that held it has just removed it
+            if os.path.samestat(os.fstat(lock), file.stat()):
+                os.pwrite(lock, b"%-20d" % os.getpid(), 0)
+                return lock
+        os.close(lock)
 
 
-def _read(file: Path) -> _Run | None:
-    try:
-        return from_json(_Run, json.loads(file.read_text(encoding="utf-8")))
-    except (OSError, ValueError, RecursionError, BunrakuError):
-        return None
+def _unlock(file: Path, lock: int) -> None:
+    """Give a lock back, and remove its file where no other process holds it."""
+    import fcntl
 
-
-def _born(process: int) -> str:
-    """When a process began, in the system's ticks; "" where the system does not say."""
-    try:
-        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[19]
-    except (OSError, IndexError, UnicodeDecodeError):
-        return ""
+    with suppress(OSError):
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        file.unlink()
+    os.close(lock)

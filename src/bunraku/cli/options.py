@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from bunraku.cli.outputs import USUAL_FPS, OutputOption, PreviewOption, WithoutOption
+from bunraku.cli import shared
 from bunraku.core.parallel import MOST_JOBS
 from bunraku.core.request import FPS
 from bunraku.errors import OptionError
@@ -23,7 +23,14 @@ if TYPE_CHECKING:
     from bunraku.core.travel import GroundPath
     from bunraku.retarget.pins import Pin
 
-SkeletonOption = Annotated[Literal["mixamo", "vrm", "unreal"] | None, tyro.conf.arg(help_behavior_hint="")]
+SkeletonOption = Annotated[
+    Literal["mixamo", "vrm", "unreal"] | None,
+    tyro.conf.arg(
+        help_behavior_hint="",
+        help="For people: a skeleton in place of the handles, in a T-pose and with the names of Mixamo, VRM or "
+        "Unreal, as the humanoid retargeting of engines needs it.",
+    ),
+]
 ProgramOption = Annotated[
     Literal["unity", "unreal", "godot", "blender", "three", "vrchat"] | None,
     tyro.conf.arg(name="for", help_behavior_hint=""),
@@ -53,16 +60,8 @@ def check_axes(up: str, front: str) -> None:
 
 
 def stand_up(character: Character, path: Path, up: str = "auto", front: str = "auto", unit: str = "auto") -> Character:
-    """The character in metres, standing along +Y and facing +Z; lines on standard error say what was guessed.
-
-    Args:
-        character: As the file has it.
-        path: The file.
-        up, front, unit: The values of the options.
-
-    Raises:
-        OptionError: The unit of the file cannot be changed.
-        WeightsError: Something is to be guessed and the weights are missing or broken.
+    """The character of a file in metres, standing along +Y and facing +Z, by the values of the options; lines on
+    standard error say what was guessed. OptionError where the unit of the file cannot be changed.
     """
     from bunraku.files import in_metres, rotated
 
@@ -130,12 +129,7 @@ def resolve_file(character: Character, up: str = "auto", front: str = "auto") ->
 
 
 def stands_line(character: Character, up: str = "auto", front: str = "auto") -> str:
-    """How a character of a file is taken to stand and how sure that is, in one line.
-
-    Args:
-        character: As the file has it.
-        up, front: The values of the options.
-    """
+    """How a character is taken to stand as its file has it, and how sure that is, in one line."""
     resolved, note = resolve_file(character, up, front)
     taken = f"stands with {resolved.up.upper()} up, facing {resolved.front.upper()}"
     if resolved.guess is None:
@@ -146,10 +140,6 @@ def stands_line(character: Character, up: str = "auto", front: str = "auto") -> 
 def said_axes(resolved: ResolvedAxes, up: str = "auto", front: str = "auto") -> str:
     """A sentence about a guess: what was taken, how sure that is, and what to type to set it. Empty where nothing was
     guessed, or the guess is at least 85 % sure.
-
-    Args:
-        resolved: How the character is taken to stand.
-        up, front: The values of the options.
     """
     from bunraku.anatomy.handles.orientation import SURE
 
@@ -212,7 +202,10 @@ def _feel(words: list[str]) -> float:
 
 FeelOption = Annotated[
     float,
-    tyro.conf.arg(name="apparel-feel"),
+    tyro.conf.arg(
+        name="apparel-feel",
+        help="How hair and clothes swing: stiff, natural or loose, or a factor on their stiffness, 0.001 to 1000.",
+    ),
     tyro.constructors.PrimitiveConstructorSpec(
         nargs=1, metavar="{stiff,natural,loose,FACTOR}", instance_from_str=_feel,
         is_instance=lambda value: isinstance(value, float | int), str_from_instance=lambda value: [f"{value:g}"],
@@ -231,32 +224,25 @@ class ApparelOptions(Apparel):
     of a mask (.npy, .txt, painted .ply or .glb) of what the network moves.
     """
     stiffness: FeelOption = 1.0
-    """How hair and clothes swing: stiff, natural or loose, or a factor on their stiffness, 0.001 to 1000."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class GeneratingOptions:
     """How a motion is drawn from a sentence, fitted to a character and written."""
 
-    output: OutputOption = ()
+    output: shared.OutputOption = ()
     """File to write: .glb, .usd, .usdc, .usdz, .fbx, .npz (the handle motion), .bvh or .vrma (what the
     humanoid skeleton does), .vmd (of MMD characters), .obj or .ply (a folder with one mesh a frame), .mp4, .webp, .gif
     or .png. May be given more than once.
     Default: a name made of the input's and the sentence, in this folder.
     """
-    preview: PreviewOption = ()
-    """Also make a video (.mp4, .webp, .gif) or a contact sheet (.png). May be given more than once."""
+    preview: shared.PreviewOption = ()
     sampling: tyro.conf.OmitArgPrefixes[SamplingOptions] = field(default_factory=SamplingOptions)
     """How the motion is drawn."""
-    fps: float = USUAL_FPS
-    """Frames a second of the files, 1 to 240."""
-    handles: Literal["predict", "rig"] = "predict"
-    """Where the character's handles come from: "predict" finds them from the shape, "rig" takes the file's own bones,
-    by their names.
-    """
-    overwrite: bool = False
-    """Replace files that Bunraku did not write, or wrote from other inputs."""
-    without: WithoutOption = ()
+    fps: shared.FpsOption = shared.USUAL_FPS
+    handles: shared.HandlesOption = "predict"
+    overwrite: shared.OverwriteOption = False
+    without: shared.WithoutOption = ()
     force: bool = False
     """Go on where no movement of the sentence is understood; the network then makes some motion."""
     standing: tyro.conf.OmitArgPrefixes[StandingOptions] = field(default_factory=StandingOptions)
@@ -269,7 +255,16 @@ class GeneratingOptions:
         self.standing.check()
 
 
-PinOption = Annotated[tuple[str, ...], tyro.conf.arg(metavar="PART@TIME=X,Y,Z"), tyro.conf.UseAppendAction]
+PinOption = Annotated[
+    tuple[str, ...],
+    tyro.conf.arg(
+        metavar="PART@TIME=X,Y,Z",
+        help="Where the wrist of a hand or the ankle of a foot is at a time, such as left_hand@2.0=0.3,1.4,0.2: "
+        "left_hand, right_hand, left_foot or right_foot, seconds (+ seconds for which it is held), x, y and z in "
+        "metres. May be given more than once.",
+    ),
+    tyro.conf.UseAppendAction,
+]
 PathOption = Annotated[str, tyro.conf.arg(metavar="'X,Z X,Z ...'")]
 _PIN = re.compile(r"(?P<part>[a-z_-]+)@(?P<time>[^=+]+)(\+(?P<hold>[^=]+))?=(?P<place>.+)")
 
@@ -289,10 +284,6 @@ class DirectingOptions:
     "0,0 1,2 3,2"; with "@SECONDS" behind each where times matter.
     """
     pin: PinOption = ()
-    """Where the wrist of a hand or the ankle of a foot is at a time, such as left_hand@2.0=0.3,1.4,0.2: left_hand,
-    right_hand, left_foot or right_foot, seconds (+ seconds for which it is held), x, y and z in metres. May be given
-    more than once.
-    """
 
     def constraints(self) -> Constraints:
         """The constraints, with the file of a clip to follow; OptionError where a text is not a path or a pin."""
@@ -310,10 +301,8 @@ def _numbers(text: str, count: int) -> tuple[float, ...]:
 
 
 def parse_pin(text: str) -> Pin:
-    """The pin of "left_hand@2.0=0.3,1.4,0.2", or "left_hand@2.0+0.5=0.3,1.4,0.2", which is held for half a second.
-
-    Raises:
-        OptionError: It is no such text.
+    """The pin of "left_hand@2.0=0.3,1.4,0.2", or "left_hand@2.0+0.5=0.3,1.4,0.2", which is held for half a second;
+    OptionError for other texts.
     """
     from bunraku.retarget.pins import PINNED, Pin
 
@@ -331,11 +320,7 @@ def parse_pin(text: str) -> Pin:
 
 
 def parse_jobs(text: str) -> int | str:
-    """The value of the option for parallel work: a number, or "ray".
-
-    Raises:
-        OptionError: It is neither.
-    """
+    """The value of the option for parallel work: a number, or "ray"; OptionError for other texts."""
     if text == "ray":
         return text
     if not text.isdecimal() or len(text) > 4 or not 1 <= int(text) <= MOST_JOBS:
@@ -344,10 +329,8 @@ def parse_jobs(text: str) -> int | str:
 
 
 def parse_path(text: str) -> GroundPath | None:
-    """The path of "0,0 1,2 3,2", or "0,0@0 1,2@2.5" with the seconds at which each point is passed; None for "".
-
-    Raises:
-        OptionError: It is no such text.
+    """The path of "0,0 1,2 3,2", or "0,0@0 1,2@2.5" with the seconds at which each point is passed; None for "",
+    OptionError for other texts.
     """
     from bunraku.core.travel import GroundPath
 

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from bunraku.cli import shared
 from bunraku.cli.manifest import check_free, exclusive_output
 from bunraku.cli.options import WhichOptions
-from bunraku.cli.outputs import PREVIEWS, check_input, check_output, check_range, stages, written_files
 from bunraku.core.request import FPS, Progress
 from bunraku.errors import FormatError, OptionError
 
@@ -38,14 +38,12 @@ class Render:
     """The character that plays an .npz motion."""
     clip: str = "0"
     """Which clip of a file with several: its number or name."""
-    fps: float = 30.0
-    """Frames a second, 1 to 240."""
+    fps: shared.FpsOption = 30.0
     size: tuple[int, int] = (640, 480)
     """Width and height of a video or a still in pixels."""
     color: Literal["texture", "handles"] = "texture"
     """The character's own colours, or one for each handle or joint."""
-    overwrite: bool = False
-    """Replace a file that is there already and that Bunraku did not write."""
+    overwrite: shared.OverwriteOption = False
     standing: tyro.conf.OmitArgPrefixes[WhichOptions] = field(default_factory=WhichOptions)
     """How the file of a character without a clip is read, or that of --character."""
 
@@ -53,8 +51,8 @@ class Render:
         self.standing.check()
         FPS.check(self.fps, "--fps")
         for side in self.size:
-            check_range("--size", side, 16, 4096)
-        check_input(self.file)
+            shared.check_range("--size", side, 16, 4096)
+        shared.check_input(self.file)
         motion = self.file.suffix.lower() == ".npz"
         if motion and self.character is None:
             raise OptionError(
@@ -63,20 +61,20 @@ class Render:
         if self.character is not None:
             if not motion:
                 raise OptionError(f"--character is for .npz motions, and {self.file} is not one; leave it out")
-            check_input(self.character)
+            shared.check_input(self.character)
         if self.output is not None:
-            check_output(self.output, PREVIEWS, [self.file])
+            shared.check_output(self.output, shared.PREVIEWS, [self.file])
             check_free([self.output], self.overwrite)
 
-        with exclusive_output([self.output] if self.output else []), stages() as report:
+        with exclusive_output([self.output] if self.output else []), shared.stages() as report:
             report("load", 0.0)
             animation = self._motion(report) if motion else self._clip()
             report("load", 1.0)
             output = self.output or Path(f"{self.file.stem}.{'png' if animation is None else 'mp4'}")
             with exclusive_output([output]):
-                check_output(output, PREVIEWS, [self.file])
+                shared.check_output(output, shared.PREVIEWS, [self.file])
                 check_free([output], self.overwrite)
-                with written_files() as written:
+                with shared.written_files() as written:
                     self._draw(animation, output, report)
                     written.append(output)
 

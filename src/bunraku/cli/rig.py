@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from bunraku.cli import shared
 from bunraku.cli.manifest import check_free, exclusive_output
 from bunraku.cli.options import FeelOption, SkeletonOption, StandingOptions
-from bunraku.cli.outputs import OutputOption, check_different, check_input, check_output, stages, written_files
 from bunraku.core.request import GRAVITY, STIFFNESS
 from bunraku.errors import BunrakuError, OptionError
 from bunraku.pipelines.requests import Apparel
@@ -92,7 +92,7 @@ class Rig:
 
     character: tyro.conf.Positional[Path]
     """The mesh to rig."""
-    output: OutputOption = ()
+    output: shared.OutputOption = ()
     """GLB, FBX, VRM or PMX to write. May be given more than once; one that is refused does not keep the others from
     being written. Default: CHARACTER-rigged.glb in this folder. A VRM has a skeleton with VRM's names, a PMX one with
     any.
@@ -101,14 +101,8 @@ class Rig:
     """Also make a page (.png) that shows what was decided: the front and the back coloured by handle, how the character
     stands, which parts were found and how clearly, and what such a body cannot do.
     """
-    handles: Literal["predict", "rig"] = "predict"
-    """Where the handles come from: "predict" finds them from the shape, "rig" takes the bones that the file brings, by
-    their names.
-    """
+    handles: shared.HandlesOption = "predict"
     skeleton: SkeletonOption = None
-    """For people: write a skeleton in place of the handles, in a T-pose and with the names of Mixamo, VRM or Unreal, as
-    the humanoid retargeting of engines needs it.
-    """
     apparel: Annotated[str, tyro.conf.arg(metavar="{none,auto,MASK}")] = "none"
     """Give hair and clothes bones of their own: "auto" where the file's physics or else a network find any, or where a
     mask (.npy, .txt, painted .ply or .glb) says. A VRM gets springs and colliders for them, a PMX rigid bodies and
@@ -116,30 +110,28 @@ class Rig:
     same kind.
     """
     stiffness: FeelOption = 1.0
-    """How hair and clothes swing: stiff, natural or loose, or a factor on their stiffness, 0.001 to 1000."""
     gravity: float = 1.0
     """How strongly apparel is drawn downwards, as a factor, 0 to 10."""
-    overwrite: bool = False
-    """Replace files that are there already and that Bunraku did not write."""
+    overwrite: shared.OverwriteOption = False
     standing: tyro.conf.OmitArgPrefixes[StandingOptions] = field(default_factory=StandingOptions)
     """How the character's file is read."""
 
     def run(self) -> None:
         self.standing.check()
-        check_input(self.character)
+        shared.check_input(self.character)
         outputs = self.output or (Path(f"{self.character.stem}-rigged.glb"),)
         previews = () if self.preview is None else (self.preview,)
         if self.apparel not in ("none", "auto"):
             Apparel(self.apparel).check("--")
-            check_input(Path(self.apparel))
+            shared.check_input(Path(self.apparel))
         STIFFNESS.check(self.stiffness, "--apparel-feel")
         GRAVITY.check(self.gravity, "--gravity")
         with exclusive_output((*outputs, *previews)):
             for path in outputs:
-                check_output(path, (".glb", ".fbx", ".vrm", ".pmx"), [self.character])
+                shared.check_output(path, (".glb", ".fbx", ".vrm", ".pmx"), [self.character])
             for path in previews:
-                check_output(path, (".png",), [self.character])
-            check_different((*outputs, *previews))
+                shared.check_output(path, (".png",), [self.character])
+            shared.check_different((*outputs, *previews))
             check_free((*outputs, *previews), self.overwrite)
             self._make(outputs)
 
@@ -147,7 +139,7 @@ class Rig:
         """Make the handles and write the files."""
         from bunraku.files import load_character, save_character
 
-        with stages() as report:
+        with shared.stages() as report:
             report("load", 0.0)
             given = load_character(self.character, unit="m")
             character = self.standing.stood(given, self.character)
@@ -168,7 +160,7 @@ class Rig:
                 mask = read_artist_mask(self.apparel, character)
             made, problems = dict[str | None, _Shown](), dict[Path, BunrakuError]()
             notes: dict[Path, str] = {}
-            with written_files(lambda path: notes.get(path, "")) as written:
+            with shared.written_files(lambda path: notes.get(path, "")) as written:
                 for number, (path, name) in enumerate(skeletons.items()):
                     report("write", number / len(outputs))
                     try:

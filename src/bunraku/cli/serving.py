@@ -37,12 +37,7 @@ MOST_FILES = 1000
 
 @dataclass(frozen=True)
 class Answer:
-    """What a tool gives.
-
-    Args:
-        facts: What was done, as plain values.
-        picture: A PNG of it, b"" for none.
-    """
+    """What a tool gives: what was done, as plain values, and a PNG of it, b"" for none."""
 
     facts: dict[str, Any]
     picture: bytes = b""
@@ -140,9 +135,7 @@ class Tools:
         from bunraku.pipelines.transfer import Source, transferred
 
         _check_files(apparel)
-        request = TransferRequest(
-            onto, apparel, None, "predict", fps, names or None, int(clip) if clip.isdecimal() else clip
-        )
+        request = TransferRequest(onto, apparel, None, "predict", fps, names or None, clip)
         request.check()
         kind, _, name = motion.partition(":")
         target = self._target(output, character, name if kind == "clip" else Path(motion).stem)
@@ -204,7 +197,7 @@ class Tools:
         from bunraku.files import load_animation
         from bunraku.render.preview import save_preview
 
-        animation = load_animation(self.path(file), int(clip) if clip.isdecimal() else clip or 0, fps)
+        animation = load_animation(self.path(file), clip or 0, fps)
         facts: dict[str, Any] = {"seconds": round(len(animation.motion) / fps, 3)}
         if output:
             facts["file"] = self._name(save_preview(animation, self._output(output), fps=fps))

@@ -6,12 +6,12 @@ import os
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
 
 from bunraku.cli.manifest import check_free
-from bunraku.cli.outputs import check_folder, check_output, check_range, wrote
+from bunraku.cli.shared import check_folder, check_output, check_range, wrote
 from bunraku.core.files import atomic_write, writing
 
 
@@ -45,39 +45,40 @@ class Studio:
         )  # fmt: skip
 
 
-def write_addon(name: str, output: Path, overwrite: bool) -> None:
-    """Write an add-on; files that are there already and are the same are kept.
+@dataclass(frozen=True)
+class _Addon:
+    """A file or a folder among the studio's add-ons. Files that are there already and are the same are kept."""
 
-    Args:
-        name: A file or folder among the studio's add-ons.
-        output: The file or folder to write.
-        overwrite: Whether other files of these names are replaced.
+    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    overwrite: bool = False
+    """Replace other files of these names."""
 
-    Raises:
-        FormatError: Another file is there, or it cannot be written.
-    """
-    source = files("bunraku.studio").joinpath("addon", name)
-    if source.is_file():
-        contents = {output: source.read_bytes()}
-    else:
-        contents = {
-            output / entry.name: entry.read_bytes()
-            for entry in sorted(source.iterdir(), key=lambda entry: entry.name)
-            if entry.is_file() and not entry.name.endswith(".pyc")
-        }
-        check_folder(output if output.parent.exists() else output.parent)
-    other = [path for path, data in contents.items() if not (path.is_file() and path.read_bytes() == data)]
-    check_free(other, overwrite, ours=False)
-    for path, data in contents.items():
-        with writing(path.parent, "folder"):
-            path.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_write(path) as file:
-            file.write(data)
-        wrote(path)
+    name: ClassVar[str]
+
+    def run(self) -> None:
+        source, output = files("bunraku.studio").joinpath("addon", self.name), self.output
+        if source.is_file():
+            check_output(output, (Path(self.name).suffix,))
+            contents = {output: source.read_bytes()}
+        else:
+            contents = {
+                output / entry.name: entry.read_bytes()
+                for entry in sorted(source.iterdir(), key=lambda entry: entry.name)
+                if entry.is_file() and not entry.name.endswith(".pyc")
+            }
+            check_folder(output if output.parent.exists() else output.parent)
+        other = [path for path, data in contents.items() if not (path.is_file() and path.read_bytes() == data)]
+        check_free(other, self.overwrite, ours=False)
+        for path, data in contents.items():
+            with writing(path.parent, "folder"):
+                path.parent.mkdir(parents=True, exist_ok=True)
+            with atomic_write(path) as file:
+                file.write(data)
+            wrote(path)
 
 
 @dataclass(frozen=True)
-class BlenderAddon:
+class BlenderAddon(_Addon):
     """Write the add-on for Blender: a panel with a sentence, which makes an action of the selected mesh.
 
     Install the file in Blender's preferences, start `bunraku studio`, and give the panel the address that it prints.
@@ -85,18 +86,13 @@ class BlenderAddon:
     Example: bunraku blender-addon -o bunraku_addon.py
     """
 
+    name = "bunraku_addon.py"
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("bunraku_addon.py")
     """File to write."""
-    overwrite: bool = False
-    """Replace another file of this name."""
-
-    def run(self) -> None:
-        check_output(self.output, (".py",), [])
-        write_addon("bunraku_addon.py", self.output, self.overwrite)
 
 
 @dataclass(frozen=True)
-class ComfyuiNodes:
+class ComfyuiNodes(_Addon):
     """Write the node pack for ComfyUI: a node that makes an animated file of a mesh and a sentence.
 
     It belongs into the custom nodes of ComfyUI. Start `bunraku studio`, and give the node the address that it prints.
@@ -104,17 +100,13 @@ class ComfyuiNodes:
     Example: bunraku comfyui-nodes -o ComfyUI/custom_nodes/bunraku
     """
 
+    name = "comfyui"
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("bunraku-comfyui")
     """Folder to write."""
-    overwrite: bool = False
-    """Replace other files of these names."""
-
-    def run(self) -> None:
-        write_addon("comfyui", self.output, self.overwrite)
 
 
 @dataclass(frozen=True)
-class GodotAddon:
+class GodotAddon(_Addon):
     """Write the add-on for Godot 4: a panel that makes an animated scene of a mesh and a sentence.
 
     It belongs into the add-ons of a project; switch it on in Project Settings, Plugins. Start `bunraku studio`, and
@@ -123,10 +115,6 @@ class GodotAddon:
     Example: bunraku godot-addon -o game/addons/bunraku
     """
 
+    name = "godot"
     output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("bunraku-godot")
     """Folder to write."""
-    overwrite: bool = False
-    """Replace other files of these names."""
-
-    def run(self) -> None:
-        write_addon("godot", self.output, self.overwrite)

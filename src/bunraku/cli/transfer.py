@@ -12,38 +12,20 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from bunraku.cli import shared
 from bunraku.cli.manifest import exclusive_output, fingerprint
 from bunraku.cli.options import ApparelOptions, ProgramOption, StandingOptions, parse_jobs
-from bunraku.cli.outputs import (
-    OutputOption,
-    PreviewOption,
-    Result,
-    WithoutOption,
-    check_folder,
-    check_input,
-    check_mask,
-    check_outputs,
-    check_stages,
-    check_written,
-    make_results,
-    save_all,
-    save_clips_to,
-    say_failed,
-    stages,
-    unfinished_results,
-    written_path,
-)
 from bunraku.core.files import open_once
 from bunraku.core.request import Progress
 from bunraku.errors import BunrakuError, FormatError, OptionError, sentence_of
 from bunraku.pipelines.requests import TransferRequest
+from bunraku.retarget.stages import Stages
 
 if TYPE_CHECKING:
     from bunraku.core.animation import AnimatedCharacter
     from bunraku.core.character import Character, Handles
     from bunraku.files import Preset
     from bunraku.pipelines.transfer import Source
-    from bunraku.retarget.stages import Stages
 
 
 @dataclass(frozen=True)
@@ -64,7 +46,7 @@ class Transfer:
     """Characters and motions, in any order."""
     motions: tuple[Path, ...] = ()
     """Motions; with this, all other files are characters."""
-    output: OutputOption = ()
+    output: shared.OutputOption = ()
     """File to write, by its suffix, or the folder of several. May be given more than once for a single pair.
     Default: CHARACTER-MOTION.glb in this folder, or the folder transfer.
     """
@@ -74,19 +56,15 @@ class Transfer:
     """
     apparel: tyro.conf.OmitArgPrefixes[ApparelOptions] = field(default_factory=ApparelOptions)
     """How hair and clothes move."""
-    handles: Literal["predict", "rig"] = "predict"
-    """Where handles come from: "predict" finds them from the shape, "rig" takes the bones that the file brings, by
-    their names.
-    """
+    handles: shared.HandlesOption = "predict"
     map: Path | None = None
     """A JSON file that names joints of the motion's skeleton: {"left_hip": "LeftUpLeg", ...}; see `bunraku inspect
     MOTION`.
     """
     clip: str = "0"
     """Number or name of the clip of a motion file with several."""
-    fps: float = 30.0
-    """Frames a second of the result, 1 to 240."""
-    without: WithoutOption = ()
+    fps: shared.FpsOption = 30.0
+    without: shared.WithoutOption = ()
     file_up: Annotated[Literal["+y", "+z"] | None, tyro.conf.arg(help_behavior_hint="")] = None
     """The axis that is up in what is written, for BVH, USD, FBX, OBJ and PLY. Default: the format's own."""
     file_unit: Annotated[str | None, tyro.conf.arg(metavar="UNIT", help_behavior_hint="")] = None
@@ -100,19 +78,16 @@ class Transfer:
     """
     jobs: Annotated[str, tyro.conf.arg(metavar="{N,ray}")] = "1"
     """How many processes share the pairs, or "ray" for a Ray cluster."""
-    overwrite: bool = False
-    """Replace files that Bunraku did not write, or wrote from other inputs."""
-    preview: PreviewOption = ()
-    """Also make a video (.mp4, .webp, .gif) or a contact sheet (.png), for a single pair. May be given more than once.
-    """
+    overwrite: shared.OverwriteOption = False
+    preview: shared.PreviewOption = ()
     standing: tyro.conf.OmitArgPrefixes[StandingOptions] = field(default_factory=StandingOptions)
     """How the characters' files are read."""
 
     def run(self) -> int:
         self.standing.check()
-        check_stages(self.without)
+        Stages().without(self.without, "--without")
         self.request().check("--")
-        check_mask(self.apparel)
+        shared.check_mask(self.apparel)
         with open_once() if len(self.files) + len(self.motions) == 2 else nullcontext():
             jobs, suffix = parse_jobs(self.jobs), _suffix(self.format)
             characters, motions, bad = self._sorted()
@@ -135,11 +110,10 @@ class Transfer:
         """The map of joints."""
         return {} if self.map is None else _read_map(self.map)
 
-    def request(self, handles: Handles | None = None, stages: Stages | None = None) -> TransferRequest:
+    def request(self, handles: Handles | None = None, fitting: Stages | None = None) -> TransferRequest:
         """What is requested of each pair; `handles` are the character's where they are known."""
-        clip = int(self.clip) if self.clip.isdecimal() else self.clip
         return TransferRequest(
-            self.onto, self.apparel, stages, handles or self.handles, self.fps, self.names or None, clip
+            self.onto, self.apparel, fitting, handles or self.handles, self.fps, self.names or None, self.clip
         )
 
     @property
@@ -177,7 +151,7 @@ class Transfer:
                     (characters if holds_character(path) else motions).append(path)
                     continue
                 if not (named and path.is_dir()):
-                    check_input(path)
+                    shared.check_input(path)
                 (motions if named else characters).append(path)
             except BunrakuError as error:
                 bad[path] = str(error)
@@ -206,20 +180,20 @@ class Transfer:
         names = names_of(motions)
         files = [file for path in named for file in row.files(path, names)]
         inputs = [character, *(motion for motion in motions if not motion.is_dir())]
-        with exclusive_output(files), stages() as report:
-            check_outputs(named, (), inputs, (row.suffix,), overwrite=True)
-            check_outputs(files, (), inputs, (row.suffix,), overwrite=self.overwrite)
-            check_written(self.apparel, files)
-            save_clips_to(clips_for(row, character, names, self, report), named, self.fps, False, report, row)
+        with exclusive_output(files), shared.stages() as report:
+            shared.check_outputs(named, (), inputs, (row.suffix,), overwrite=True)
+            shared.check_outputs(files, (), inputs, (row.suffix,), overwrite=self.overwrite)
+            shared.check_written(self.apparel, files)
+            shared.save_clips_to(clips_for(row, character, names, self, report), named, self.fps, False, report, row)
 
     def _one(self, character: Path, motion: Path, suffix: str) -> None:
         outputs = self.output or (Path(f"{character.stem}-{motion.stem}{suffix}"),)
         inputs = [character] if motion.is_dir() else [character, motion]
-        with exclusive_output(written_path(path) for path in (*outputs, *self.preview)), stages() as report:
-            check_outputs(outputs, self.preview, inputs, _outputs(), overwrite=self.overwrite)
-            check_written(self.apparel, outputs)
+        with exclusive_output(map(shared.written_path, (*outputs, *self.preview))), shared.stages() as report:
+            shared.check_outputs(outputs, self.preview, inputs, _outputs(), overwrite=self.overwrite)
+            shared.check_written(self.apparel, outputs)
             animation = animation_of(Pair(outputs[0], (character, motion)), self, report)
-            save_all(animation, outputs, self.preview, self.fps, report, self.saving)
+            shared.save_all(animation, outputs, self.preview, self.fps, report, self.saving)
 
     def _many(
         self, characters: list[Path], motions: list[Path], bad: dict[Path, str], jobs: int | str, suffix: str
@@ -238,9 +212,9 @@ class Transfer:
             )
         if folder.is_file():
             raise FormatError(folder, "this is a file; name a folder with -o, where each pair gets a file")
-        check_folder(folder)
+        shared.check_folder(folder)
         check_writer(Path(f"motion{suffix}"))
-        check_written(self.apparel, [Path(f"motion{suffix}")])
+        shared.check_written(self.apparel, [Path(f"motion{suffix}")])
         settings = self.settings()
         pairs = pairs_of(characters, motions, folder, suffix, settings)
         inputs = {path.resolve() for path in (*characters, *motions)}
@@ -248,10 +222,11 @@ class Transfer:
             if pair.path.resolve() in inputs:
                 raise FormatError(pair.path, "this would overwrite the input; name another folder with -o")
         with exclusive_output(folders=[folder]):
-            todo = unfinished_results(pairs, self.overwrite, "files")
-            with stages() as report:
-                status = make_results(partial(transfer_pairs, settings), batches(todo, jobs), jobs, "transfer", report)
-        say_failed({str(path): reason for path, reason in bad.items()})
+            todo = shared.unfinished_results(pairs, self.overwrite, "files")
+            with shared.stages() as report:
+                work = partial(transfer_pairs, settings)
+                status = shared.make_results(work, batches(todo, jobs), jobs, "transfer", report)
+        shared.say_failed({str(path): reason for path, reason in bad.items()})
         return 1 if bad else status
 
 
@@ -261,7 +236,7 @@ def _raise_first(bad: dict[Path, str]) -> None:
         raise FormatError(path, reason.removeprefix(f"{path}: "))
 
 
-class Pair(Result):
+class Pair(shared.Result):
     """A character and a motion, its `inputs`, and the file to write."""
 
 
@@ -308,12 +283,12 @@ def animation_of(pair: Pair, settings: Transfer, progress: Progress | None = Non
     from bunraku.core.avatars import MmdModel
     from bunraku.files import check_writer
     from bunraku.pipelines.animator import Animator
-    from bunraku.pipelines.transfer import transferred
+    from bunraku.pipelines.transfer import TRANSFER_STAGES, transferred
 
     character, handles = character_of(pair.inputs[0], settings)
     check_writer(pair.path, mmd=isinstance(character.avatar, MmdModel))
-    source = source_of(pair.inputs[1], settings)
-    return transferred(Animator.shipped(progress), character, source, settings.request(handles, stages_of(settings)))
+    request = settings.request(handles, TRANSFER_STAGES.without(settings.without))
+    return transferred(Animator.shipped(progress), character, source_of(pair.inputs[1], settings), request)
 
 
 def transfer_pairs(settings: Transfer, pairs: list[Pair]) -> Iterator[str]:
@@ -350,13 +325,6 @@ def source_of(path: Path, settings: Transfer) -> Source:
     return Source(path, request.fps, request.names, request.clip)
 
 
-def stages_of(settings: Transfer) -> Stages:
-    """The stages that run: the default ones except those left out."""
-    from bunraku.pipelines.transfer import TRANSFER_STAGES
-
-    return replace(TRANSFER_STAGES, **{name.replace("-", "_"): False for name in settings.without})
-
-
 def names_of(motions: Iterable[Path]) -> dict[str, Path]:
     """Motions by the names of their clips: those of their files; a second one of a name gets a number."""
     from bunraku.files import free_name
@@ -370,21 +338,12 @@ def names_of(motions: Iterable[Path]) -> dict[str, Path]:
 def clips_for(
     row: Preset, character: Path, motions: Mapping[str, Path], settings: Transfer, report: Progress
 ) -> dict[str, AnimatedCharacter]:
-    """Each motion on the character, by its name; a person without a skeleton of its own gets the program's.
-
-    Args:
-        row: What the program wants.
-        character: The file of the character.
-        motions: Files of the motions, by the names of their clips.
-        settings: How they are put on it.
-        report: Called with a stage's name and the share done.
-
-    Raises:
-        BunrakuError: A file cannot be read, or the two do not go together.
+    """Each motion, by the name of its clip, on the character, as a program wants it; a person without a skeleton of its
+    own gets the program's.
     """
     from bunraku.anatomy.anatomy import Anatomy
     from bunraku.pipelines.animator import Animator, Body
-    from bunraku.pipelines.transfer import transferred
+    from bunraku.pipelines.transfer import TRANSFER_STAGES, transferred
     from bunraku.retarget.engine_skeleton import on_skeleton
 
     report("load", 0.0)
@@ -394,7 +353,8 @@ def clips_for(
         if body.takes_skeleton:
             moved, handles, settings = on_skeleton(body.anatomy, row.skeleton), None, replace(settings, onto="rig")
     report("load", 1.0)
-    request, animator = settings.request(handles, stages_of(settings)), Animator.shipped(report)
+    request = settings.request(handles, TRANSFER_STAGES.without(settings.without))
+    animator = Animator.shipped(report)
     return {
         name: transferred(animator, moved, source_of(motion, settings), request) for name, motion in motions.items()
     }
@@ -416,7 +376,7 @@ def _suffix(text: str) -> str:
 
 def _read_map(path: Path) -> dict[str, str]:
     """The map of joints in a JSON file."""
-    check_input(path)
+    shared.check_input(path)
     if path.stat().st_size > 1 << 20:
         raise FormatError(path, "a map of joints has less than 1 MiB; name the file that maps joints")
     try:

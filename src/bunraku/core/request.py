@@ -11,7 +11,7 @@ import math
 import numbers
 import re
 import types
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence, Sized
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from numbers import Real
 from typing import (
@@ -52,6 +52,22 @@ class Limit:
             raise OptionError(f"{name or self.name} must be a number, not {_shown(value)}")
         if value is not None and not (math.isfinite(value) and self.low <= value <= self.high):
             raise OptionError(f"{name or self.name} must be from {self.low:g} to {self.high:g}, not {value:g}")
+
+
+@dataclass(frozen=True)
+class Length:
+    """How many letters a text may have, or entries a list."""
+
+    most: int
+    least: int = 0
+
+    def check(self, value: Sized | None, name: str) -> None:
+        """Raise OptionError unless a text or a list of this name has so many; None passes."""
+        noun = "characters" if isinstance(value, str) else "entries"
+        if value is not None and len(value) > self.most:
+            raise OptionError(f"{name} has more than {self.most} {noun}, {len(value):,}; leave some out")
+        if value is not None and len(value) < self.least:
+            raise OptionError(f"{name} has less than {self.least} {noun}; say more")
 
 
 def check_all(values: Iterable[tuple[Limit, float | None]], dashes: str = "") -> None:
@@ -267,12 +283,17 @@ def option(name: str, dashes: str = "") -> str:
 class Constraint:
     """Something that a motion must meet; subclasses are frozen dataclasses."""
 
-    kind: ClassVar[str] = ""
+    kind: ClassVar[str]
     """Its name in JSON and among the options."""
-    alone: ClassVar[tuple[tuple[str, ...], str]] = ((), "")
+    alone: ClassVar[tuple[tuple[str, ...], str]]
     """Kinds that it cannot be combined with, and why, in a sentence; "{}" in it stands for the names of options."""
-    several: ClassVar[bool] = False
+    several: ClassVar[bool]
     """Whether a request may have more than one."""
+
+    def __init_subclass__(
+        cls, kind: str, alone: tuple[tuple[str, ...], str] = ((), ""), several: bool = False
+    ) -> None:  # fmt: skip
+        cls.kind, cls.alone, cls.several = kind, alone, several
 
     def check(self, others: Sequence[Constraint], dashes: str = "") -> None:
         """Raise OptionError unless it can be combined with the other constraints of a request; `dashes` stand before

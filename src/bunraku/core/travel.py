@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 
@@ -27,8 +26,11 @@ ASIDE = 0.05
 """How far the root may sway off the path, over the height of the root handle."""
 
 
+_WAY = "a path says where the character goes, so it goes with none of {1}, {2} and {3}"
+
+
 @dataclass(frozen=True)
-class GroundPath(Constraint):
+class GroundPath(Constraint, kind="path", alone=(("loop", "after", "in_place"), _WAY)):
     """Points on the ground that a root passes. OptionError if there are fewer than two, times do not
     rise, or numbers make no sense.
     """
@@ -36,12 +38,6 @@ class GroundPath(Constraint):
     points: tuple[tuple[float, float], ...]  # x and z of each [m], at least two that differ
     # When it passes each [s], rising from 0; None passes all at an even speed with a soft start and end.
     times: tuple[float, ...] | None = None
-
-    kind: ClassVar[str] = "path"
-    alone: ClassVar[tuple[tuple[str, ...], str]] = (
-        ("loop", "after", "in_place"),
-        "a path says where the character goes, so it goes with none of {1}, {2} and {3}",
-    )
 
     def __post_init__(self) -> None:
         points = np.asarray(self.points, float)

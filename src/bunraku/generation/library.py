@@ -57,6 +57,14 @@ class Clip:
     source: Source
     stretch: str
 
+    @property
+    def facts(self) -> dict[str, object]:
+        """What people and programs are told of it, in values that JSON has."""
+        return {
+            "name": self.name, "sentence": self.sentence, "seconds": self.seconds, "loops": self.loops,
+            "tags": list(self.tags), "credit": self.source.credit, "terms": self.source.terms,
+        }  # fmt: skip
+
     def motion(self, seconds: float | None = None, loop: bool = False) -> HandleMotion:
         """Its motion, of the reference body, 20 frames a second; `bunraku.transfer` puts it on a character.
 

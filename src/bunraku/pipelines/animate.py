@@ -277,8 +277,6 @@ def edited(animator: Animator, clip: Clip, request: Request) -> Clip:
     """A clip of which a part is kept and the rest generated from a sentence (section A.3 of TapMo).
 
     Args:
-        animator: Holds the networks.
-        clip: An animation, or a motion of the reference body at 20 frames a second.
         request: What is done instead, and with `Keep`, `Pose` and `Pin` what stays. One candidate of the clip's length
             is drawn. Results and errors are those of `edit`.
     """

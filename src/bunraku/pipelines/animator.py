@@ -94,19 +94,12 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A character as a request moves it.
-
-    Args:
-        character: Any mesh, +Y up and facing +Z.
-        feature: Its mesh feature f_phi, which the denoiser sees, shape (448,).
-        anatomy: What is known of it and its handles, which are its bones where these move it.
-        parts: The bones of its rig, where these move it.
-    """
+    """A character as a request moves it."""
 
     character: Character
-    feature: np.ndarray | None
-    anatomy: Anatomy
-    parts: RigParts | None = None
+    feature: np.ndarray | None  # its mesh feature f_phi, which the denoiser sees, shape (448,)
+    anatomy: Anatomy  # what is known of it and its handles, which are its bones where these move it
+    parts: RigParts | None = None  # the bones of its rig, where these move it
 
     @property
     def takes_skeleton(self) -> bool:
@@ -140,11 +133,8 @@ class Animator:
         return cls(progress=progress or cell_progress() or _silent, note=note or _silent)
 
     def __call__(self, character: Character | Body, request: Request) -> AnimatedCharacter:
-        """A character that does what a request says; results and errors are those of `bunraku.animate`.
-
-        Args:
-            character: Any mesh, +Y up and facing +Z; or its `body`.
-            request: What it does, and how.
+        """A character, or its `body`, that does what a request says; results and errors are those of
+        `bunraku.animate`.
         """
         return next(self.each(character, [request]))
 
@@ -153,12 +143,10 @@ class Animator:
     ) -> Iterator[AnimatedCharacter]:
         """An animation of a character for each request, apparel and all, several in one pass of the denoiser.
 
-        An animation does not depend on those beside it, except in the last bits: sums are rounded differently in a
-        pass of another size.
+        An animation does not depend on those beside it, except in the last bits: sums are rounded differently in a pass
+        of another size.
 
         Args:
-            character: As for a single request.
-            requests: They differ in sentence and seed alone.
             only: Indices of the animations that are wanted, all where None. Those beside them are generated along, so
                 that each is bit for bit the one that all of them would give.
 
@@ -230,11 +218,8 @@ class Animator:
         self, character: Character | Body, requests: Mapping[str, Request]
     ) -> Iterator[tuple[str, AnimatedCharacter]]:
         """The animation of each request by its name, all moved by the same handles or bones, as the clips of one file
-        are (`bunraku.save_clips`). Requests that differ in sentence and seed alone share passes of the denoiser.
-
-        Args:
-            character: As for a single request.
-            requests: What is done in each clip. The first one says what moves the character.
+        are (`bunraku.save_clips`). The first request says what moves the character. Requests that differ in sentence
+        and seed alone share passes of the denoiser.
 
         Raises:
             OptionError: A request cannot be met.
@@ -248,12 +233,9 @@ class Animator:
             left = {name: request for name, request in left.items() if name not in group}
 
     def stretches(self, character: Character | Body, request: Request) -> Iterator[AnimatedCharacter]:
-        """A clip of any length, stretch by stretch, so that only one is in memory (`files.write_stretches`).
-        The first frame of each stretch is the last of the one before.
-
-        Args:
-            character: As for a single request.
-            request: What is done. Loops, paths, pins and moving apparel go with clips of one pass only.
+        """A clip of any length, stretch by stretch, so that only one is in memory (`files.write_stretches`). The first
+        frame of each stretch is the last of the one before. Loops, paths, pins and moving apparel go with clips of one
+        pass only.
 
         Raises:
             OptionError: The request cannot be met so.
@@ -312,7 +294,6 @@ class Animator:
         """The handles of a character (Eq. 1 of TapMo), at most four weights a vertex, as viewers read them.
 
         Args:
-            character: Any mesh, +Y up and facing +Z.
             handles: Known ones, or how to make them: "predict" or "rig". Errors are those of `bunraku.rig`.
         """
         if isinstance(handles, Handles):
@@ -348,7 +329,7 @@ class Animator:
         """A character as a request moves it; several runs of one character share it.
 
         Raises:
-            CharacterError: Apparel is to be simulated without physics; the character's bones are to move it, and they
+            CharacterError: Apparel is to be simulated without physics; the bones are to move the character, and they
                 are not understood; or as for `handles`.
         """
 
@@ -379,18 +360,13 @@ class Animator:
         """An animation with its apparel moved; errors are those of `pipelines.apparel.dressed`.
 
         Args:
-            moved: With apparel that goes with the body.
-            apparel: How it moves.
             anatomy: Of the character by what moves it; found where it is needed and None.
         """
         if not apparel.moves:
             return moved
         from bunraku.pipelines.apparel import dressed
 
-        return dressed(
-            moved, apparel.motion, stiffness=apparel.stiffness, gravity=apparel.gravity, progress=self.progress,
-            anatomy=anatomy,
-        )  # fmt: skip
+        return dressed(moved, apparel, self.progress, anatomy)
 
     def _drawing(self, request: Request, feature: object | None, as_people: bool) -> SamplingSettings:
         from bunraku.generation.candidates import SamplingSettings  # which a body's parts are found without
@@ -443,20 +419,17 @@ def _after_animals(
 
 def _fitted_creature(motion: CreatureMotion, body: Body, request: Request) -> Animation | RigAnimation:
     """A motion after clips of animals on a character."""
-    from bunraku.retarget.creatures import fit_creature, fit_creature_rig
+    from bunraku.retarget.creatures import fit_body
 
     if body.parts is None:
-        return fit_creature(motion, body.anatomy, request.stages or GENERATED_STAGES)
-    motion = motion.at(RATE) if request.apparel.moves else motion
-    return fit_creature_rig(motion, body.parts, request.stages or Stages())
+        return fit_body(motion, body.anatomy, request.stages or GENERATED_STAGES)
+    return fit_body(motion.at(RATE) if request.apparel.moves else motion, body.parts, request.stages or Stages())
 
 
 def own_rig(character: Character, request: Request, on_handles: Callable[[], Anatomy] | None = None) -> RigParts | None:
     """The rig whose bones move a character by a request; None where its handles do.
 
     Args:
-        character: The character.
-        request: What is asked of it.
         on_handles: Gives its anatomy by its handles, by which bones are known that have other names; None for names
             alone.
 

@@ -57,46 +57,34 @@ def _network(path: Path, changed: int) -> DisplacementNetwork:
 
 
 def shipped_displacement(clothed: ClothedCharacter | None = None) -> DisplacementNetwork:
-    """The displacement network that comes with Bunraku.
-
-    Args:
-        clothed: The character: there is a network for those whose files say how their apparel swings, and one for those
-            of which it is guessed; the first when None.
-
-    Raises:
-        WeightsError: It is missing or broken.
+    """The displacement network that comes with Bunraku: there is one for characters whose files say how their apparel
+    swings, and one for those of which it is guessed; the first when None. WeightsError where it is missing or broken.
     """
     from_file = clothed is None or clothed.swing is not None
     return _network(*dated_checkpoint("apparel" if from_file else "apparel-guessed"))
 
 
 def dressed(
-    animation: Animation | RigAnimation, apparel: str | Path = "auto", *, stiffness: float = 1.0,
-    gravity: float = 1.0, progress: Progress | None = None, anatomy: Anatomy | None = None,
+    animation: Animation | RigAnimation, apparel: Apparel, progress: Progress | None = None,
+    anatomy: Anatomy | None = None,
 ) -> Animation | RigAnimation | PointAnimation:  # fmt: skip
-    """An animation with its apparel moved.
-
-    Args:
-        animation: Of handles or of bones; its apparel goes with the body.
-        apparel, stiffness, gravity: As in `Apparel`.
-        progress: Called with a stage's name and the share done.
-        anatomy: Of the character by the handles that move it; found where it is needed and None.
+    """An animation, in which apparel goes with the body, with its apparel moved. The anatomy, of the character by the
+    handles that move it, is found where it is needed and None.
 
     Raises:
-        OptionError: `apparel` is none of these.
+        OptionError: Apparel cannot move so.
         CharacterError: It is to be simulated without physics, or learned where there is none.
         FormatError: The mask is broken or belongs to another mesh.
         WeightsError: The shipped weights are missing or broken.
     """
-    settings = Apparel(str(apparel), stiffness, gravity)
-    settings.check()
-    if not settings.moves:
+    apparel.check()
+    if not apparel.moves:
         return animation
-    if str(apparel) == "simulate":
-        return with_apparel(animation, progress, stiffness, gravity)
-    if str(apparel) == "auto":
-        if isinstance(animation, RigAnimation) and moving_rig(animation.character) is not None:
-            return with_apparel(animation, progress, stiffness, gravity)
+    auto = apparel.motion == "auto"
+    of_bones = auto and isinstance(animation, RigAnimation) and moving_rig(animation.character) is not None
+    if of_bones or apparel.motion == "simulate":
+        return with_apparel(animation, progress, apparel.stiffness, apparel.gravity)
+    if auto:
         if not _person(animation, anatomy):
             return animation
         clothed, _, _ = animated_clothed(animation)
@@ -109,43 +97,19 @@ def dressed(
             _log.warning("%s", problem)
             return animation
         try:
-            return _untorn(animation, clothed, stiffness, gravity, progress)
+            return _untorn(animation, clothed, apparel, progress)
         except CharacterError:  # all of it is too short to swing
             return animation
-    if str(apparel) == "chains":
+    if apparel.motion == "chains":
         clothed, _, _ = animated_clothed(animation)
-        return _untorn(animation, clothed, stiffness, gravity, progress)
-    mask = None if str(apparel) == "learn" else read_artist_mask(apparel, animation.character)
-    return learned(animation, mask, stiffness=stiffness, progress=progress)
-
-
-def learned(
-    animation: Animation | RigAnimation, mask: np.ndarray | None = None, *, stiffness: float = 1.0,
-    network: DisplacementNetwork | None = None, safe: bool = True, progress: Progress | None = None,
-) -> PointAnimation:  # fmt: skip
-    """An animation at 30 frames a second whose apparel the displacement network moves.
-
-    Args:
-        animation: Of handles or of bones.
-        mask: Vertices that are apparel, shape (V,), bool; the file's, or else what the part network finds.
-        stiffness: Factor on how stiff apparel is.
-        network: The shipped one by default.
-        safe: Whether the safety stage runs.
-        progress: Called with a stage's name and the share done.
-
-    Raises:
-        CharacterError: The mesh has no apparel.
-        WeightsError: The shipped weights are missing or broken.
-    """
-    clothed, transforms, moved = animated_clothed(animation, mask, stiffness=stiffness)
-    clothed = with_parts_from_file(clothed, parameters_beside(animation.character))
-    return _learned(clothed, transforms, moved, progress, network, safe)
+        return _untorn(animation, clothed, apparel, progress)
+    mask = None if apparel.mask is None else read_artist_mask(apparel.mask, animation.character)
+    return learned(animation, mask, apparel.stiffness, progress)
 
 
 def chained(
-    animation: Animation | RigAnimation, clothed: ClothedCharacter, stiffness: float, gravity: float,
-    progress: Progress | None,
-) -> tuple[RigAnimation, DressedChains]:  # fmt: skip
+    animation: Animation | RigAnimation, clothed: ClothedCharacter, apparel: Apparel, progress: Progress | None
+) -> tuple[RigAnimation, DressedChains]:
     """An animation on its bones, or on its handles as bones, with further bones for its apparel, which are simulated,
     and what the chains are laid over. CharacterError where no part of the mesh is apparel that chains can be laid over.
     """
@@ -153,7 +117,7 @@ def chained(
     progress("apparel", 0.0)
     moved, bones = _boned(animation)
     assert moved.character.rig is not None
-    chain_rig = with_apparel_chains(moved.character, clothed, bones, stiffness, gravity)
+    chain_rig = with_apparel_chains(moved.character, clothed, bones, apparel.stiffness, apparel.gravity)
     dressed = DressedChains(chain_rig, clothed, bones, moved.character.rig)
     result = steady_simulation(
         chain_rig.on(moved), chain_rig.rig(tied=False), progress=lambda done: progress("apparel", done)
@@ -182,9 +146,8 @@ def _little(character: Character, apparel: np.ndarray) -> bool:
 
 
 def _untorn(
-    animation: Animation | RigAnimation, clothed: ClothedCharacter, stiffness: float, gravity: float,
-    progress: Progress | None,
-) -> Animation | RigAnimation:  # fmt: skip
+    animation: Animation | RigAnimation, clothed: ClothedCharacter, apparel: Apparel, progress: Progress | None
+) -> Animation | RigAnimation:
     """`chained` with its tears mended. Parts that are torn all the same go with the body; the animation comes back as
     it is where that is all apparel. Parts of an artist's mask move all the same, and a line says so.
     """
@@ -192,7 +155,7 @@ def _untorn(
     name = animation.character.name
     for attempt in range(RELAID):
         try:
-            mended, dressed = chained(animation, clothed, stiffness, gravity, progress)
+            mended, dressed = chained(animation, clothed, apparel, progress)
         except CharacterError:
             if attempt:
                 break
@@ -215,12 +178,7 @@ def animated_clothed(
     animation: Animation | RigAnimation, mask: np.ndarray | None = None, *, stiffness: float = 1.0
 ) -> tuple[ClothedCharacter, np.ndarray, Animation]:
     """The character of an animation as the networks see it, its joints' transforms (N, 22, 3, 4), and the animation, at
-    30 frames a second.
-
-    Args:
-        animation: Of handles or of bones.
-        mask: Vertices that are apparel; the file's, or else what the part network finds.
-        stiffness: Factor on how stiff apparel is.
+    30 frames a second. Vertices of the mask are apparel; the file's, or else what the part network finds, when None.
     """
     character = animation.character
     moved = animation.at(RATE)
@@ -259,17 +217,22 @@ def _unified(character: Character) -> UnifiedBody | None:
         return None
 
 
-def _learned(
-    clothed: ClothedCharacter, transforms: np.ndarray, moved: Animation, progress: Progress | None = None,
-    network: DisplacementNetwork | None = None, safe: bool = True,
+def learned(
+    animation: Animation | RigAnimation, mask: np.ndarray | None = None, stiffness: float = 1.0,
+    progress: Progress | None = None, safe: bool = True,
 ) -> PointAnimation:  # fmt: skip
+    """An animation at 30 frames a second whose apparel the displacement network moves: vertices of the mask (V,), of
+    the file's, or else what the part network finds. CharacterError where there is none.
+    """
+    clothed, transforms, moved = animated_clothed(animation, mask, stiffness=stiffness)
+    clothed = with_parts_from_file(clothed, parameters_beside(animation.character))
     if not clothed.apparel.any():
         raise CharacterError(
             f"{moved.character.name}: no apparel was found on this mesh; name its vertices in a mask (--apparel "
             "mask.npy)"
         )
     progress = progress or (lambda stage, done: None)
-    player = ApparelPlayer(clothed, network or shipped_displacement(clothed), safe=safe)
+    player = ApparelPlayer(clothed, shipped_displacement(clothed), safe=safe)
     player.start(transforms[0])
     chosen = player.carrier.vertices
     skinned = moved.vertices(chosen=chosen)
@@ -278,11 +241,10 @@ def _learned(
         positions[frame] = player.advance(pose)
         if frame % 16 == 0:
             progress("apparel", frame / len(transforms))
-    if safe:
-        layers = Layers(clothed, chosen)
-        if len(layers.seen):
-            beneath = moved.vertices(chosen=layers.seen)
-            positions = layers.clip(positions, beneath, lambda done: progress("layers", done))
+    layers = Layers(clothed, chosen)
+    if safe and len(layers.seen):
+        beneath = moved.vertices(chosen=layers.seen)
+        positions = layers.clip(positions, beneath, lambda done: progress("layers", done))
     offsets = np.zeros((len(transforms), len(clothed.rest), 3), np.float32)
     offsets[:, chosen] = eased_border(clothed)[chosen, None] * (positions - skinned)
     progress("apparel", 1.0)

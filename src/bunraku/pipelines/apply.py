@@ -15,7 +15,6 @@ from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.corrected import PARTS
 from bunraku.anatomy.legs import BodyPlan
 from bunraku.core.animation import AnimatedCharacter, Animation, RigAnimation
-from bunraku.core.character import Character
 from bunraku.core.motion import HandleMotion
 from bunraku.core.request import Constraint, Progress
 from bunraku.core.travel import GroundPath, bent_to_path, follow
@@ -42,11 +41,9 @@ def apply_motion(
     """A motion of the reference body, as `generate` makes them, on a character.
 
     Args:
-        motion: N frames, generated for the same constraints: as a loop, along `reference_path`, after the same motion.
-        anatomy: Of the character.
+        motion: Generated for the same constraints: as a loop, along `reference_path`, after the same motion.
         constraints: What it must meet.
         stages: Which stages fit the motion to the character; `GENERATED_STAGES` when None.
-        progress: Called with a stage's name and the share done, 0 to 1.
     """
     progress = progress or (lambda stage, done: None)
     progress("fit", 0.0)
@@ -72,45 +69,13 @@ def apply_motion(
     return Animation(anatomy.character, anatomy.handles, fitted, motion)
 
 
-def apply_simulated(
-    motion: HandleMotion, character: Character, *, in_place: bool = False, stages: Stages | None = None,
-    fps: float = 30.0, progress: Progress | None = None,
-) -> RigAnimation:  # fmt: skip
-    """As `apply_rigged`, with hair and clothes that the physics of the character's file moves.
-
-    Args:
-        motion: N frames.
-        character: With a rig and physics, +Y up and facing +Z.
-        in_place: Remove the travel over the ground; apparel then hangs as on a treadmill.
-        stages: Which stages fit the motion to the rig; all when None.
-        fps: Frames a second of the result [1/s]; apparel swings faster than 20 can show.
-        progress: Called with a stage's name and the share done, 0 to 1.
-
-    Raises:
-        CharacterError: There is no physics in the file, or its bones are not understood.
-    """
-    from bunraku.apparel.chains.moving import with_apparel
-    from bunraku.core.motion import resample
-    from bunraku.retarget.rig_parts import RigParts
-
-    constraints = Constraints.of(in_place=in_place)
-    moved = apply_rigged(resample(motion, fps), RigParts.of(character), constraints, stages, progress)
-    return with_apparel(moved, progress)
-
-
 def apply_rigged(
     motion: HandleMotion, parts: RigParts, constraints: Iterable[Constraint] = (), stages: Stages | None = None,
     progress: Progress | None = None,
 ) -> RigAnimation:  # fmt: skip
     """A motion of the reference body on the bones of a character, hair and clothes going along. The bones count as 30
-    handles; the stage `shape` is left out, since bones keep their lengths.
-
-    Args:
-        motion: N frames.
-        parts: The rig.
-        constraints: What it must meet; a clip that is followed moves the bones of the same rig.
-        stages: Which stages fit the motion to the rig; all when None.
-        progress: Called with a stage's name and the share done, 0 to 1.
+    handles; the stage `shape` is left out, since bones keep their lengths. A clip that is followed moves the bones of
+    the same rig.
     """
     from bunraku.retarget.to_reference import handle_animation
     from bunraku.retarget.to_rig import on_bones, stiff
@@ -158,12 +123,8 @@ SURE, LIKELY = 0.85, 0.7
 
 @dataclass(frozen=True)
 class PartFact:
-    """A part of a body as it was found.
-
-    Args:
-        name: Such as "left leg".
-        area: Share of the surface.
-        sure: How clearly the part's handles hold it: the mean of their weights over it, 0 to 1.
+    """A part of a body as it was found, such as "left leg": its share of the surface, and how clearly the part's
+    handles hold it, the mean of their weights over it, 0 to 1.
     """
 
     name: str
@@ -179,18 +140,12 @@ class PartFact:
 
 @dataclass(frozen=True)
 class BodyFacts:
-    """What was decided about a body.
-
-    Args:
-        plan: What it stands and moves with.
-        parts: What was found, largest first.
-        further: How many legs it has beyond two or four.
-        cannot: What such a body cannot do, a sentence each.
+    """What was decided about a body: its plan, what was found, largest first, and what such a body cannot do, a
+    sentence each.
     """
 
     plan: BodyPlan
     parts: tuple[PartFact, ...]
-    further: int
     cannot: tuple[str, ...]
 
     @property
@@ -214,7 +169,7 @@ def body_facts(anatomy: Anatomy) -> BodyFacts:
             shown = "trunk" if name == "body" else name.replace("arm", "foreleg") if plan.front else name
             parts.append(PartFact(shown, area, clear))
     parts.sort(key=lambda part: -part.area)
-    return BodyFacts(plan, tuple(parts), len(anatomy.further), tuple(_cannot(plan, [part.name for part in parts])))
+    return BodyFacts(plan, tuple(parts), tuple(_cannot(plan, [part.name for part in parts])))
 
 
 def _cannot(plan: BodyPlan, parts: list[str]) -> list[str]:
@@ -256,14 +211,8 @@ def adapt_to_body(sentences: Sequence[Sentence], anatomy: Anatomy) -> tuple[list
 
 
 def apply_locomotion(motion: HandleMotion, sentence: Sentence, anatomy: Anatomy, loop: bool = False) -> HandleMotion:
-    """A generated motion with what its locomotion needs: wings that beat in the air, a wave along the body, feet on
-    the ground.
-
-    Args:
-        motion: Of the reference body.
-        sentence: What it shows, adapted to the body.
-        anatomy: Of the character.
-        loop: Whether the motion is a loop.
+    """A generated motion of the reference body with what its locomotion needs, as the sentence shows it that was
+    adapted to the body: wings that beat in the air, a wave along the body, feet on the ground.
     """
     start = 0.0
     for locomotion, clauses in groupby(sentence.clauses, key=lambda clause: clause.moves):

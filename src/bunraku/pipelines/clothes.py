@@ -47,7 +47,6 @@ def separate_apparel(
     """A character with its apparel separated from its body, each part on the joint that carries it.
 
     Args:
-        character: The mesh.
         joints: Positions of the 22 joints [m], shape (22, 3).
         weights: Of the vertices for them, shape (V, 22).
         mask: Vertices that are apparel; what the part network finds when None.
@@ -60,11 +59,8 @@ def separate_apparel(
 
 
 def excess_apparel_note(character: Character, apparel: np.ndarray) -> str:
-    """What to say where so much of a mesh is taken for apparel that it is hardly true; "" where it is not.
-
-    Args:
-        character: The mesh.
-        apparel: What the network found, shape (V,), bool.
+    """What to say where the apparel that the network found on a mesh, shape (V,), is so much that it is hardly true; ""
+    where it is not.
     """
     share = float(character.areas[apparel].sum() / max(float(character.areas.sum()), 1e-30))
     if share <= MOST:
@@ -88,16 +84,8 @@ def may_have_apparel(anatomy: Anatomy) -> bool:
 def with_apparel_chains(
     character: Character, clothed: ClothedCharacter, bones: np.ndarray, stiffness: float = 1.0, gravity: float = 1.0
 ) -> Chained:
-    """A character whose rig has chains of bones over its apparel.
-
-    Args:
-        character: With a rig.
-        clothed: The same mesh with its apparel separated.
-        bones: The bone of the rig that each of the 22 joints is, shape (22,).
-        stiffness, gravity: Factors.
-
-    Raises:
-        CharacterError: No part of the mesh is apparel that chains can be laid over.
+    """A character with a rig, and with chains of bones over its apparel. `bones` (22,) are those that each of the 22
+    joints is; stiffness and gravity are factors. CharacterError where there is no apparel that chains can be laid over.
     """
     laid = _laid(character, clothed, stiffness, gravity)
     return with_chains(fitted_rig(character, clothed, bones), laid, bones)
@@ -110,9 +98,8 @@ def rig_with_chains(
     """A character with bones for its body, handles or a skeleton in a T-pose, and for its apparel.
 
     Args:
-        anatomy: Of the character by its 30 handles.
         skeleton: Whose names the bones get, as of `on_skeleton`; None for the handles.
-        mask: Vertices that are apparel; what the file says, or else what the part network finds, when None.
+        mask: As of `clothed_of`.
         stiffness, gravity: Factors.
         clothed: What `clothed_of` says of it, where that is known.
 
@@ -136,14 +123,9 @@ def rig_with_chains(
 
 
 def clothed_of(anatomy: Anatomy, mask: np.ndarray | None = None) -> ClothedCharacter:
-    """A character whose apparel is looked for, as the networks see it.
-
-    Args:
-        anatomy: Of the character by its 30 handles.
-        mask: Vertices that are apparel; what the file says, or else what the part network finds, when None.
-
-    Raises:
-        CharacterError: It is no person, or so much was taken for apparel that it is hardly true.
+    """A character whose apparel is looked for, as the networks see it. Vertices of the mask are apparel; what the file
+    says, or else what the part network finds, when None. CharacterError where it is no person, or so much was taken for
+    apparel that it is hardly true.
     """
     character, handles = anatomy.character, anatomy.handles
     weights, joints = body_of_handles(character, handles)

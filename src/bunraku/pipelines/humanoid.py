@@ -150,15 +150,10 @@ def write_character_vmd(animation: Animation | RigAnimation, path: Path, *, fps:
 
     An animation of the character's own bones is written bone by bone, one of its handles as what SMPL's 22 joints do.
 
-    Args:
-        animation: Of a character that was read from a PMX or PMD file.
-        path: The file.
-        fps: Only 30 is possible, which is what VMD files have.
-
     Raises:
-        FormatError: The character is of another kind, the model has a bone whose name VMD cannot hold, or the file
-            cannot be written.
-        OptionError: Another rate is requested.
+        FormatError: The character was not read from a PMX or PMD file, the model has a bone whose name VMD cannot hold,
+            or the file cannot be written.
+        OptionError: Another rate than 30 is requested, which VMD files have.
         MotionError: The animation is of handles, and the model's bones lack MMD's standard names.
     """
     from bunraku.retarget.mmd_motion import mmd_clip, mmd_motion

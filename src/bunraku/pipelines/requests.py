@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, cast
+from typing import TYPE_CHECKING, Any, Literal, Self, cast
 
 from bunraku.core.request import (
     CANDIDATES,
@@ -125,38 +125,26 @@ CONSTRAINTS = {
 MOST_PINS = 100
 _OF_A_CLIP = ("keep", "pose")
 _MADE_ANEW = ("path", "loop", "after", "in_place")
+_ROUND = "a loop ends where it starts, so it cannot follow another motion: {} and {} do not go together"
 
 
 @dataclass(frozen=True)
-class Loop(Constraint):
+class Loop(Constraint, kind="loop", alone=(("after",), _ROUND)):
     """The last pose equals the first, at another position where the motion travels."""
 
-    kind: ClassVar[str] = "loop"
-    alone: ClassVar[tuple[tuple[str, ...], str]] = (
-        ("after",),
-        "a loop ends where it starts, so it cannot follow another motion: {} and {} do not go together",
-    )
-
 
 @dataclass(frozen=True)
-class InPlace(Constraint):
+class InPlace(Constraint, kind="in_place"):
     """The travel over the ground is removed, for game engines that move the character themselves."""
-
-    kind: ClassVar[str] = "in_place"
 
 
 @dataclass(frozen=True, eq=False)
-class Follow(Constraint):
-    """The motion starts in the last pose of another.
+class Follow(Constraint, kind="after"):
+    """The motion starts in the last pose of another."""
 
-    Args:
-        clip: An animation of the same character, or a motion of the reference body; or its name in a JSON form, whose
-            reader opens it.
-    """
-
+    # An animation of the same character, or a motion of the reference body; or its name in a JSON form, whose reader
+    # opens it.
     clip: HandleMotion | AnimatedCharacter | str
-
-    kind: ClassVar[str] = "after"
 
     @classmethod
     def from_json(cls, data: object) -> Self:
@@ -172,36 +160,20 @@ class _Named:
 
 
 @dataclass(frozen=True)
-class Keep(Constraint):
-    """What stays of a clip while the rest is generated: parts of the body, and everything outside a span of time.
+class Keep(Constraint, kind="keep"):
+    """What stays of a clip while the rest is generated: parts of the body, and everything outside a span of time."""
 
-    Args:
-        parts: Such as legs, left arm, upper body (`body.parts`).
-        span: The first and the last second that are generated; None is all of the clip.
-    """
-
-    parts: tuple[str, ...] = ()
-    span: tuple[float, float] | None = None
-
-    kind: ClassVar[str] = "keep"
+    parts: tuple[str, ...] = ()  # such as legs, left arm, upper body (`body.parts`)
+    span: tuple[float, float] | None = None  # the first and the last second that are generated; None is all of the clip
 
 
 @dataclass(frozen=True)
-class Pose(Constraint):
-    """A single pose of a clip that stays; what is between such poses is generated.
+class Pose(Constraint, kind="pose", several=True):
+    """A single pose of a clip that stays; what is between such poses is generated."""
 
-    Args:
-        time: Seconds from the start of the clip.
-        take: The name of the clip that the pose comes from; None is the clip itself.
-        at: Seconds from the start of that clip; None is `time`.
-    """
-
-    time: float
-    take: str | None = None
-    at: float | None = None
-
-    kind: ClassVar[str] = "pose"
-    several: ClassVar[bool] = True
+    time: float  # seconds from the start of the clip
+    take: str | None = None  # the name of the clip that the pose comes from; None is the clip itself
+    at: float | None = None  # seconds from the start of that clip; None is `time`
 
 
 class Constraints(tuple[Constraint, ...]):
@@ -486,26 +458,19 @@ RATE = 30.0
 
 @dataclass(frozen=True, eq=False)
 class TransferRequest:
-    """How a motion is put on a character.
+    """How a motion is put on a character."""
 
-    Args:
-        onto: "handles" moves the 30 handles of the character, "rig" the bones of its own rig, "auto" the rig of a
-            humanoid that has one and handles otherwise.
-        apparel: How hair and clothes move.
-        stages: Which stages run; `pipelines.transfer.TRANSFER_STAGES` when None.
-        handles: The character's handles, or how to make them: "predict" or "rig" (see `bunraku.rig`).
-        fps: Frames a second of the result [1/s].
-        names: The skeleton's joint by SMPL's name, for joints that are missed or mistaken; "" for none.
-        clip: Number or name of the clip of a file with several.
-    """
-
+    # "handles" moves the 30 handles of the character, "rig" the bones of its own rig, "auto" the rig of a humanoid that
+    # has one and handles otherwise.
     onto: Literal["auto", "handles", "rig"] = "auto"
-    apparel: Apparel = field(default_factory=Apparel)
-    stages: Stages | None = None
+    apparel: Apparel = field(default_factory=Apparel)  # how hair and clothes move
+    stages: Stages | None = None  # which stages run; `pipelines.transfer.TRANSFER_STAGES` when None
+    # The character's handles, or how to make them: "predict" or "rig" (see `bunraku.rig`).
     handles: Handles | Literal["predict", "rig"] = "predict"
-    fps: float = RATE
+    fps: float = RATE  # frames a second of the result [1/s]
+    # The skeleton's joint by SMPL's name, for joints that are missed or mistaken; "" for none.
     names: Mapping[str, str] | None = None
-    clip: int | str = 0
+    clip: int | str = 0  # number or name of the clip of a file with several
 
     def check(self, dashes: str = "") -> None:
         """Raise OptionError unless this can be requested; `dashes` stand before the names of options in messages."""

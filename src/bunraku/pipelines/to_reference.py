@@ -16,14 +16,15 @@ import numpy as np
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.core.animation import Animation, RigAnimation
 from bunraku.core.body.layout import HANDLE_COUNT
-from bunraku.core.character import Character, Handles
+from bunraku.core.character import Character
 from bunraku.core.geometry.curves import tallest_steady
 from bunraku.core.motion import HandleMotion, MeshMotion, SkeletalMotion
 from bunraku.core.request import checked
 from bunraku.errors import CharacterError, FormatError, MotionError
 from bunraku.files import bones_of, load_animation, load_character, load_skeleton_clip, read_motion
-from bunraku.retarget.creatures import CreatureMotion, motion_of_handles, motion_of_rig, motion_of_skeleton
+from bunraku.retarget.creatures import CreatureMotion, motion_of_handles, motion_of_skeleton
 from bunraku.retarget.rig_parts import RigParts
+from bunraku.retarget.to_reference import bones_to_handles, handle_motion_of_mesh, motion_to_reference
 
 MAX_VALUES = 400_000_000
 """Coordinates of all frames of a moving mesh: 1.6 GB."""
@@ -106,7 +107,7 @@ def load_motion(path: str | Path, *, fps: float = 30.0, clip: int | str = 0) -> 
         from bunraku.files import load_fbx_motion
 
         try:  # of a person a skeleton is enough
-            motion = load_fbx_motion(path, clip or None, fps)
+            motion = load_fbx_motion(path, clip, fps)
             map_skeleton(motion.skeleton)
             return motion
         except (MotionError, FormatError):
@@ -137,12 +138,8 @@ arms add less; chosen by eye.
 
 
 def reference_motion(motion: Motion, *, fps: float = 20.0, names: Mapping[str, str] | None = None) -> HandleMotion:
-    """Any motion as handle motion of the reference body.
-
-    Args:
-        motion: Motion of a skeleton; handle motion of the reference body; an animated character; or a moving mesh.
-        fps: Frames a second of the result [1/s].
-        names: The skeleton's joint by SMPL's name, for joints that are missed or mistaken; "" for none.
+    """Any motion as handle motion of the reference body, at a rate [1/s]. `names` gives the skeleton's joint by SMPL's
+    name, for joints that are missed or mistaken; "" for none.
 
     Raises:
         MotionError: No pelvis and legs are found in the skeleton, or a handle motion is of something else.
@@ -152,18 +149,16 @@ def reference_motion(motion: Motion, *, fps: float = 20.0, names: Mapping[str, s
 
     if isinstance(motion, SkeletalMotion):
         return _of_skeleton(motion, fps, names)
-    if isinstance(motion, RigAnimation):
-        reference = motion.reference or _of_rig(motion.character, *motion.world(), motion.fps)
-    elif isinstance(motion, MeshMotion):
-        reference = _of_mesh(_standing(motion), motion.vertices, motion.fps)
-    elif isinstance(motion, Animation):
-        reference = motion.reference or _of_animation(motion)
-    else:
+    if isinstance(motion, HandleMotion):
         reference = motion
         if reference.translations.shape[1] != HANDLE_COUNT:
             raise MotionError(
                 f"a motion of the reference body has {HANDLE_COUNT} handles, not {reference.translations.shape[1]}"
             )
+    elif isinstance(motion, MeshMotion) or motion.reference is None:
+        reference = motion_to_reference(*_handles_moved(motion))
+    else:
+        reference = motion.reference
     return resample(reference, fps)
 
 
@@ -181,23 +176,12 @@ def creature_motion(
 
 
 def _creature_motion(motion: Motion, fps: float, names: Mapping[str, str] | None) -> CreatureMotion | None:
-    creature: CreatureMotion | None = None
     if isinstance(motion, SkeletalMotion):
         return motion_of_skeleton(motion, fps, names)
-    if isinstance(motion, RigAnimation | Animation):
-        character, rig = motion.character, motion.character.rig
-        count = len(motion.handles.positions)
-        if isinstance(motion, Animation) and count == HANDLE_COUNT and (rig is None or count != len(rig.names) + 1):
-            creature = motion_of_handles(motion.motion, Anatomy.of(character, motion.handles))
-        elif rig is not None and (isinstance(motion, RigAnimation) or count == len(rig.names) + 1):
-            world = motion.world() if isinstance(motion, RigAnimation) else bones_of(motion)
-            try:
-                character, rotations, positions = facing(character, *world)
-                creature = motion_of_rig(RigParts.of(character), rotations, positions, motion.motion.fps)
-            except CharacterError:  # the names of its bones say nothing
-                creature = _creature_of_mesh(replace(motion.character, rig=None), motion.vertices(), motion.fps)
-    elif isinstance(motion, MeshMotion):
-        creature = _creature_of_mesh(_standing(motion), motion.vertices, motion.fps)
+    if isinstance(motion, HandleMotion):
+        return None
+    moved, anatomy, _ = _handles_moved(motion)
+    creature = motion_of_handles(moved, anatomy)
     return None if creature is None else creature.at(fps)
 
 
@@ -211,27 +195,25 @@ def _of_skeleton(motion: SkeletalMotion, fps: float, names: Mapping[str, str] | 
     return body_handle_motion(to_smpl(resample_motion(motion, fps), mapped))
 
 
-def _of_animation(animation: Animation) -> HandleMotion:
-    """Of a clip of a file, whose handles are its bones; or of the 30 handles of the reference body."""
-    from bunraku.retarget.to_reference import motion_to_reference
-
-    character, rig = animation.character, animation.character.rig
-    bones = 0 if rig is None else len(rig.names)
-    if len(animation.handles.positions) == HANDLE_COUNT != bones + 1:
-        return motion_to_reference(animation.motion, Anatomy.of(character, animation.handles))
-    if rig is not None and len(animation.handles.positions) == bones + 1:
+def _handles_moved(motion: Animation | RigAnimation | MeshMotion) -> tuple[HandleMotion, Anatomy, bool]:
+    """How the 30 handles of a character move, its anatomy by them, and whether its bones say so: in a clip of bones
+    whose names are known, in one of these handles, or by registration of its mesh.
+    """
+    if isinstance(motion, MeshMotion):
+        return *_registered(_standing(motion), motion.vertices, motion.fps), False
+    character, count = motion.character, len(motion.handles.positions)
+    of_bones = character.rig is not None and count == len(character.rig.names) + 1  # as clips of files are
+    if isinstance(motion, RigAnimation) or of_bones:
+        world = motion.world() if isinstance(motion, RigAnimation) else bones_of(motion)
         try:
-            return _of_rig(character, *bones_of(animation), animation.motion.fps)
+            standing, rotations, positions = facing(character, *world)
+            parts = RigParts.of(standing)
+            return bones_to_handles(parts, rotations, positions, motion.motion.fps), parts.anatomy, True
         except CharacterError:
             pass  # the names of its bones say nothing
-    return _of_mesh(replace(character, rig=None), animation.vertices(), animation.motion.fps)
-
-
-def _of_rig(character: Character, rotations: np.ndarray, positions: np.ndarray, fps: float) -> HandleMotion:
-    from bunraku.retarget.to_reference import rig_to_reference
-
-    character, rotations, positions = facing(character, rotations, positions)
-    return rig_to_reference(RigParts.of(character), rotations, positions, fps, own=True)
+    elif count == HANDLE_COUNT:
+        return motion.motion, Anatomy.of(character, motion.handles), False
+    return *_registered(replace(character, rig=None), motion.vertices(), motion.motion.fps), False
 
 
 def facing(
@@ -261,23 +243,9 @@ def _standing(motion: MeshMotion) -> Character:
     return Character(motion.name, motion.vertices[frame], motion.faces)
 
 
-def _of_mesh(rest: Character, vertices: np.ndarray, fps: float) -> HandleMotion:
-    """Of a moving mesh, by registration of its predicted handles (section A.2 of TapMo)."""
-    from bunraku.retarget.to_reference import motion_to_reference
-
-    motion, handles = _registered(rest, vertices, fps)
-    return motion_to_reference(motion, Anatomy.of(rest, handles))
-
-
-def _creature_of_mesh(rest: Character, vertices: np.ndarray, fps: float) -> CreatureMotion | None:
-    motion, handles = _registered(rest, vertices, fps)
-    return motion_of_handles(motion, Anatomy.of(rest, handles))
-
-
-def _registered(rest: Character, vertices: np.ndarray, fps: float) -> tuple[HandleMotion, Handles]:
-    """How the predicted handles of a moving mesh move."""
+def _registered(rest: Character, vertices: np.ndarray, fps: float) -> tuple[HandleMotion, Anatomy]:
+    """How the predicted handles of a moving mesh move, by registration (section A.2 of TapMo), and its anatomy."""
     from bunraku.pipelines.animate import rig
-    from bunraku.retarget.to_reference import handle_motion_of_mesh
 
     handles = rig(rest)
     areas = rest.areas
@@ -287,4 +255,4 @@ def _registered(rest: Character, vertices: np.ndarray, fps: float) -> tuple[Hand
         )
         for start in range(0, len(vertices), _CHUNK)
     ]
-    return HandleMotion.joined(parts), handles
+    return HandleMotion.joined(parts), Anatomy.of(rest, handles)

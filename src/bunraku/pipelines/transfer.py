@@ -27,11 +27,10 @@ from bunraku.pipelines.animate import opened
 from bunraku.pipelines.animator import Animator, left_out
 from bunraku.pipelines.requests import RATE, Apparel, TransferRequest
 from bunraku.pipelines.to_reference import Motion, creature_motion, load_motion, reference_motion
-from bunraku.retarget.creatures import CreatureMotion, fit_creature, fit_creature_rig
-from bunraku.retarget.fit import Stages, fit_motion
+from bunraku.retarget.creatures import CreatureMotion, fit_body
+from bunraku.retarget.fit import Stages
 from bunraku.retarget.rig_parts import RigParts
 from bunraku.retarget.stages.feet import is_treadmill
-from bunraku.retarget.to_rig import fit_rig
 
 _log = logging.getLogger(__name__)
 TRANSFER_STAGES = Stages(hands=True, shape=True)
@@ -40,19 +39,13 @@ TRANSFER_STAGES = Stages(hands=True, shape=True)
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """A motion to be transferred, read and taken to the reference body once, however many characters get it.
+    """A motion to be transferred, read and taken to the reference body once, however many characters get it."""
 
-    Args:
-        given: The motion, or its file.
-        fps: Frames a second of the result [1/s].
-        names: The skeleton's joint by SMPL's name, for joints that are missed or mistaken; "" for none.
-        clip: Number or name of the clip of a file with several.
-    """
-
-    given: Motion | str | Path
-    fps: float = RATE
+    given: Motion | str | Path  # the motion, or its file
+    fps: float = RATE  # frames a second of the result [1/s]
+    # The skeleton's joint by SMPL's name, for joints that are missed or mistaken; "" for none.
     names: Mapping[str, str] | None = None
-    clip: int | str = 0
+    clip: int | str = 0  # number or name of the clip of a file with several
 
     @property
     def path(self) -> Path | None:
@@ -80,13 +73,8 @@ class Source:
 def transferred(
     animator: Animator, character: Character, motion: Motion | Source | str | Path, request: TransferRequest
 ) -> AnimatedCharacter:
-    """A character that does what a motion does: F(V, J, T) of [MMDMC 1].
-
-    Args:
-        animator: Holds the networks.
-        character: Any mesh, +Y up and facing +Z.
-        motion: As in `transfer`.
-        request: How it is put on the character. Results and errors are those of `transfer`.
+    """A character that does what a motion does: F(V, J, T) of [MMDMC 1]. The motion, the results and the errors are
+    those of `transfer`.
     """
     request.check()
     if request.apparel.motion == "simulate":
@@ -156,13 +144,8 @@ def transfer(
 def fitted_transfer(
     animator: Animator, character: Character, reference: HandleMotion | CreatureMotion, request: TransferRequest
 ) -> Animation | RigAnimation:
-    """What `reference_motion` or `creature_motion` gives, on the rig or the handles of a character.
-
-    Args:
-        animator: Makes handles where they are needed.
-        character: Any mesh, +Y up and facing +Z.
-        reference: Motion of the reference body, or of a creature.
-        request: Onto what it goes, by which stages.
+    """What `reference_motion` or `creature_motion` gives, on the rig or the handles of a character, as a
+    request says.
     """
     stages = request.stages or TRANSFER_STAGES
     if stages.feet and isinstance(reference, HandleMotion) and is_treadmill(reference):
@@ -171,21 +154,11 @@ def fitted_transfer(
     animator.progress("fit", 0.0)
     if isinstance(reference, HandleMotion):
         reference = reference.of_own_body(False)  # generated for another body, or for none
-    result: Animation | RigAnimation
-    if parts is not None:
-        fit = fit_rig if isinstance(reference, HandleMotion) else fit_creature_rig
-        result = fit(reference, parts, stages)  # type: ignore[arg-type]  # each gets its own kind
-    else:
-        anatomy = Anatomy.of(character, animator.handles(character, request.handles)).measured()
-        left = left_out(character)
-        if left and request.onto == "auto" and not isinstance(request.handles, Handles):
-            _log.warning(
-                "%s: handles move it, without %s; to move its bones, transfer onto its rig", character.name, left
-            )
-        if isinstance(reference, HandleMotion):
-            result = Animation(character, anatomy.handles, fit_motion(reference, anatomy, stages), reference)
-        else:
-            result = fit_creature(reference, anatomy, stages)
+    left = left_out(character) if parts is None else ""
+    if left and request.onto == "auto" and not isinstance(request.handles, Handles):
+        _log.warning("%s: handles move it, without %s; to move its bones, transfer onto its rig", character.name, left)
+    body = parts or Anatomy.of(character, animator.handles(character, request.handles)).measured()
+    result = fit_body(reference, body, stages)
     animator.progress("fit", 1.0)
     return result
 
@@ -217,11 +190,8 @@ def same_skeleton(character: Character, motion: Motion) -> RigAnimation | None:
 
 
 def played_by_mmd(character: Character, path: str | Path, fps: float) -> RigAnimation | None:
-    """A VMD on the bones of an MMD model, which it was made for; None for other files and characters.
-
-    Raises:
-        FormatError: The file cannot be read.
-        MotionError: It moves none of the model's bones.
+    """A VMD on the bones of an MMD model, which it was made for; None for other files and characters. MotionError where
+    it moves none of the model's bones.
     """
     if Path(path).suffix.lower() != ".vmd":
         return None

@@ -44,15 +44,8 @@ _PELVIS, _HEAD = HANDLE_NAMES.index("pelvis"), HANDLE_NAMES.index("head")
 
 @dataclass(frozen=True)
 class CreatureClip:
-    """One clip of an animal.
-
-    Args:
-        animal: Its name.
-        action: What it does, by the table of creatures' captions.
-        body: The kind of its body (`anatomy.legs.BodyPlan.kind`).
-        shape: Of its body, as `body_shape` has it.
-        frames: How many it has.
-        data: The packed motion.
+    """One clip of an animal: what it does by the table of creatures' captions, the kind of its body
+    (`anatomy.legs.BodyPlan.kind`), its `body_shape`, and the packed motion.
     """
 
     animal: str
@@ -64,10 +57,8 @@ class CreatureClip:
 
     @property
     def unpacked(self) -> tuple[HandleMotion, np.ndarray]:
-        """Its motion, with joints that hold, and the heights of its lowest point [m], shape (N,).
-
-        Raises:
-            WeightsError: The bytes are damaged.
+        """Its motion, with joints that hold, and the heights of its lowest point [m], shape (N,); WeightsError where
+        the bytes are damaged.
         """
         try:
             if not 2 <= self.frames <= MOST_FRAMES:
@@ -112,11 +103,7 @@ def write_clips(path: str | Path, clips: Sequence[CreatureClip], notes: dict[str
 
 @functools.lru_cache(maxsize=2)
 def read_clips(path: Path) -> tuple[CreatureClip, ...]:
-    """Read clips.
-
-    Raises:
-        WeightsError: The file is damaged or of another kind.
-    """
+    """The clips of a file; WeightsError where it is damaged or of another kind."""
     from bunraku.core.nn.checkpoints import fitting_config, load_checkpoint
 
     state, config = load_checkpoint(path, KIND)
@@ -179,13 +166,8 @@ def _likeness(clip: CreatureClip, words: set[str]) -> float:
 
 
 def creature_motion(sentence: Sentence, anatomy: Anatomy, seed: int) -> CreatureMotion | None:
-    """What a sentence asks of a creature, after clips of animals with a body like its own; None where they do not show
-    all of it.
-
-    Args:
-        sentence: As the body does it.
-        anatomy: Of the creature.
-        seed: Draws the clips.
+    """What a sentence, as the body does it, asks of a creature, after clips of animals with a body like its own, which
+    the seed draws; None where they do not show all of it.
     """
     name = {*re.findall(r"[a-z]+", Path(anatomy.character.name).stem.lower())}
     random = np.random.default_rng(seed % 2**63)

@@ -43,8 +43,8 @@ def stick_character(
         names: Of the joints, length J.
         parents: Parent of each joint, before its children; -1 for the root, shape (J,).
         positions: Of the joints in the pose that becomes the rest pose [m], shape (J, 3).
-        known: Which joints are parts of a body, shape (J,), bool; bones that lead to none, such as those to the poles
-            of inverse kinematics, are left out.
+        known: Which joints are parts of a body, shape (J,), bool. Bones that lead to none are left out, such as those
+            to the poles of inverse kinematics.
     """
     pieces, owners = [], []
     body = known.copy()
@@ -91,12 +91,7 @@ UPRIGHT = 55.0  # a rest pose whose trunk is steeper is that of a person [degree
 
 @dataclass(frozen=True)
 class Limbs:
-    """The joints of the four legs of a skeleton, left and right.
-
-    Args:
-        hind: From the hip outwards, for each side.
-        front: From the shoulder outwards, for each side.
-    """
+    """The joints of the four legs of a skeleton, left and right, each from the hip or the shoulder outwards."""
 
     hind: tuple[list[int], list[int]]
     front: tuple[list[int], list[int]]
@@ -104,26 +99,17 @@ class Limbs:
 
 @dataclass(frozen=True, eq=False)
 class Stance:
-    """How an animal stands, facing +Z.
-
-    Args:
-        turns: World rotation of each joint, shape (J, 3, 3).
-        positions: Of the joints [m], shape (J, 3).
-        rest: Whether it is the skeleton's rest pose; otherwise the mean of the tallest steady frames in which the
-            animal stands, and of its left and right legs.
+    """How an animal stands, facing +Z: world rotations (J, 3, 3) and positions [m] (J, 3) of the joints, in the rest
+    pose, or else in the mean of the tallest steady frames in which it stands, and of its left and right legs.
     """
 
     turns: np.ndarray
     positions: np.ndarray
-    rest: bool
 
 
 def find_limbs(parts: np.ndarray, parents: np.ndarray) -> Limbs | None:
-    """The four legs by what the joints are called; None where one of them has less than two joints.
-
-    Args:
-        parts: Handle of each joint, -1 for none, shape (J,).
-        parents: Parent of each joint, shape (J,).
+    """The four legs by the handle of each joint, -1 for none, and its parent, shape (J,) each; None where one of them
+    has less than two joints.
     """
     families = []
     for family in FAMILIES:
@@ -145,18 +131,14 @@ def _longest(joint: int, own: np.ndarray, parents: np.ndarray) -> list[int]:
 
 
 def find_stance(motion: SkeletalMotion, limbs: Limbs, parts: np.ndarray) -> Stance | None:
-    """How an animal stands; None of a person, and where four legs are not seen to stand.
-
-    Args:
-        motion: Of a skeleton, +Y up [m].
-        limbs: Its legs.
-        parts: Handle of each joint, -1 for none, shape (J,).
+    """How an animal stands in a motion with +Y up, by its legs and the handle of each joint, -1 for none, shape (J,);
+    None of a person, and where four legs are not seen to stand.
     """
     rest = motion.skeleton.positions.astype(np.float64)[None]
     if bool(_stands(rest, limbs)[0]):
         turn = np.asarray(matrix_y(-_heading(rest, limbs)))[0]
         positions = rest[0] @ turn.T
-        return Stance(np.broadcast_to(turn, (len(positions), 3, 3)), positions, True)
+        return Stance(np.broadcast_to(turn, (len(positions), 3, 3)), positions)
     if _person(rest[0], limbs, parts):
         return None
     world, positions = motion.world()
@@ -187,7 +169,7 @@ def _mean_stance(motion: SkeletalMotion, world: np.ndarray, headings: np.ndarray
             evened[joint] = evened[above]
         positions[joint] = positions[above] + evened.get(above, np.eye(3)) @ turns[above] @ offsets[joint]
     turns = np.stack([evened.get(joint, np.eye(3)) @ turn for joint, turn in enumerate(turns)])
-    return Stance(turns, positions, False)
+    return Stance(turns, positions)
 
 
 def _evening(positions: np.ndarray, limbs: Limbs) -> dict[int, np.ndarray]:
@@ -254,23 +236,17 @@ def _person(rest: np.ndarray, limbs: Limbs, parts: np.ndarray) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class CreatureMotion:
-    """Motion of a body that is not a person.
+    """Motion of a body that is not a person."""
 
-    Args:
-        motion: Of 30 handles with the reference body's meaning. Rotations are relative to the pose in which the body
-            stands, and not to the T-pose; what the body lacks moves with its parents; joints hold. The root's path is
-            in the scale of the reference body, whose pelvis is as high above the ground as the body's root is.
-        plan: What the body stands and moves with.
-        heights: Of its lowest point over the ground, in the same scale [m], shape (N,).
-        flies: Whether wings that beat carry it.
-        person: Of a body that lies along its spine and walks on two legs: the same by way of the reference body, for
-            characters of other kinds.
-    """
-
+    # Of 30 handles with the reference body's meaning. Rotations are relative to the pose in which the body stands, and
+    # not to the T-pose; what the body lacks moves with its parents; joints hold. The root's path is in the scale of the
+    # reference body, whose pelvis is as high above the ground as the body's root is.
     motion: HandleMotion
     plan: BodyPlan
-    heights: np.ndarray
+    heights: np.ndarray  # of its lowest point over the ground, in the same scale [m], shape (N,)
     flies: bool = False
+    # Of a body that lies along its spine and walks on two legs: the same by way of the reference body, for characters
+    # of other kinds.
     person: HandleMotion | None = None
 
     def at(self, fps: float) -> CreatureMotion:
@@ -287,11 +263,11 @@ class CreatureMotion:
 def motion_of_skeleton(
     motion: SkeletalMotion, fps: float, names: Mapping[str, str] | None = None
 ) -> CreatureMotion | None:
-    """The motion of an animal's skeleton; None where no four legs are seen to carry a level trunk, as of people.
+    """The motion of an animal's skeleton at a rate [1/s]; None where no four legs are seen to carry a level trunk, as
+    of people.
 
     Args:
         motion: Of any skeleton, +Y up [m].
-        fps: Frames a second of the result [1/s].
         names: The skeleton's joint by SMPL's name, for joints that are not found or found wrongly; "" for none.
     """
     skeleton = motion.skeleton
@@ -305,7 +281,7 @@ def motion_of_skeleton(
     motion = resample_motion(motion, fps)
     world, positions = motion.world()
     turns = world.astype(np.float64) @ np.swapaxes(stance.turns, -1, -2)
-    return motion_of_rig(rig, turns, positions.astype(np.float64), fps)
+    return motion_of_handles(bones_to_handles(rig, turns, positions.astype(np.float64), fps), rig.anatomy)
 
 
 def _parts(motion: SkeletalMotion, names: Mapping[str, str] | None) -> np.ndarray:
@@ -329,44 +305,14 @@ def _parts(motion: SkeletalMotion, names: Mapping[str, str] | None) -> np.ndarra
     return parts
 
 
-def motion_of_rig(rig: RigParts, turns: np.ndarray, positions: np.ndarray, fps: float) -> CreatureMotion | None:
-    """The motion of a rig that stands in its rest pose; None of a person and of any other body that walks upright.
-
-    Args:
-        rig: Facing +Z.
-        turns: World rotation of each bone from the rest pose, shape (N, J, 3, 3).
-        positions: Where its head is [m], shape (N, J, 3).
-        fps: Frames a second [1/s].
-    """
-    plan = rig.anatomy.plan
-    if _as_people(plan) and not plan.wings:
-        return None
-    return _creature(bones_to_handles(rig, turns, positions, fps), rig.anatomy)
-
-
 def motion_of_handles(motion: HandleMotion, anatomy: Anatomy) -> CreatureMotion | None:
-    """A motion of a character's handles; None of a person and of any other body that walks upright.
-
-    Args:
-        motion: Of its handles.
-        anatomy: Of the character, in the pose that the motion is relative to.
-    """
-    return None if _as_people(anatomy.plan) and not anatomy.plan.wings else _creature(motion, anatomy)
-
-
-def _as_people(plan: BodyPlan) -> bool:
-    """Whether a body that walks goes by way of the reference body."""
-    return plan.kind == "person" or (plan.kind == "two legs" and plan.upright)
-
-
-def _creature(motion: HandleMotion, anatomy: Anatomy) -> CreatureMotion | None:
-    """A motion of a character's handles in the words of `CreatureMotion`; None of one with wings that goes on its legs
-    as people do.
+    """A motion of a character's handles, relative to the pose of its anatomy; None of a person and of any other body
+    that walks upright, with wings or without.
     """
     character, handles, plan = anatomy.character, anatomy.handles, anatomy.plan
     flies = plan.wings and wing_swing(motion) > BEATS
-    if _as_people(plan) and not flies:
-        return None
+    if (plan.kind == "person" or (plan.kind == "two legs" and plan.upright)) and not flies:
+        return None  # it goes by way of the reference body
     rotations = motion.rotations.astype(np.float64).copy()
     for handle in downwards(HANDLE_PARENTS)[1:]:
         if not anatomy.own[handle]:
@@ -385,53 +331,25 @@ def _creature(motion: HandleMotion, anatomy: Anatomy) -> CreatureMotion | None:
     return CreatureMotion(in_air(moved) if flies else moved, plan, (ground - rise) * scale, flies)
 
 
-def _own_stages(stages: Stages) -> Stages:
-    """The stages, without those that compare with a person: both bodies stand in their rest poses."""
-    return replace(stages, rest_pose=False, hands=False)
-
-
-def _root_heights(source: CreatureMotion) -> np.ndarray | None:
-    """How high what stands is over the ground; None of what flies, swims or slides, which keeps the height of its
-    path.
+def fit_body(
+    source: HandleMotion | CreatureMotion, body: Anatomy | RigParts, stages: Stages
+) -> Animation | RigAnimation:
+    """A motion of the reference body or of a creature on a character that stands in its rest pose: on its handles, or
+    on the bones of its rig. CharacterError where it lacks what carries the source (see `check_plans`).
     """
-    return source.heights if source.plan.legs and not source.flies else None
-
-
-def fit_creature(source: CreatureMotion, anatomy: Anatomy, stages: Stages) -> Animation:
-    """A creature's motion on the handles of a character.
-
-    Args:
-        source: The motion.
-        anatomy: Of the character, which stands in its rest pose.
-        stages: Which stages run.
-
-    Raises:
-        CharacterError: The character lacks what carries the source (see `check_plans`).
-    """
-    character, handles = anatomy.character, anatomy.handles
-    if not source.suits(anatomy.plan):
+    anatomy = body.anatomy if isinstance(body, RigParts) else body
+    if isinstance(source, CreatureMotion) and not source.suits(anatomy.plan):
         assert source.person is not None
-        return Animation(character, handles, fit_motion(source.person, anatomy, stages), source.person)
-    check_plans(source.plan, anatomy.plan, character.name, source.flies)
-    fitted = fit_motion(source.motion, anatomy, _own_stages(stages), _root_heights(source))
-    return Animation(character, handles, fitted, motion_to_reference(fitted, anatomy, own=True))
-
-
-def fit_creature_rig(source: CreatureMotion, parts: RigParts, stages: Stages) -> RigAnimation:
-    """A creature's motion on the bones of a character.
-
-    Args:
-        source: The motion.
-        parts: The character's rig.
-        stages: Which stages run.
-
-    Raises:
-        CharacterError: The character lacks what carries the source (see `check_plans`).
-    """
-    plan = parts.anatomy.plan
-    if not source.suits(plan):
-        assert source.person is not None
-        return fit_rig(source.person, parts, stages)
-    check_plans(source.plan, plan, parts.character.name, source.flies)
-    moved = fit_rig(source.motion, parts, _own_stages(stages), heights=_root_heights(source))
-    return replace(moved, reference=None)
+        source = source.person
+    if isinstance(source, HandleMotion):
+        if isinstance(body, RigParts):
+            return fit_rig(source, body, stages)
+        return Animation(body.character, body.handles, fit_motion(source, body, stages), source)
+    check_plans(source.plan, anatomy.plan, anatomy.character.name, source.flies)
+    stages = replace(stages, rest_pose=False, hands=False)  # which compare with a person
+    # what flies, swims or slides keeps the height of its path
+    heights = source.heights if source.plan.legs and not source.flies else None
+    if isinstance(body, RigParts):
+        return replace(fit_rig(source.motion, body, stages, heights), reference=None)
+    fitted = fit_motion(source.motion, body, stages, heights)
+    return Animation(body.character, body.handles, fitted, motion_to_reference(fitted, body, own=True))

@@ -24,7 +24,6 @@ def on_skeleton(anatomy: Anatomy, names: str, weights: np.ndarray | None = None)
     """A person's mesh in a T-pose on a tree of joints.
 
     Args:
-        anatomy: Of the character by its 30 handles.
         names: Whose names the joints get: "mixamo", "vrm" or "unreal".
         weights: Skinning weights of the vertices for the handles in place of their own, shape (V, 30).
 
@@ -60,11 +59,6 @@ def carried(animation: Animation, anatomy: Anatomy, skeleton: Character) -> RigA
     With M_k(t) what handle k does to its part from the rest pose on, and T_k what took that part into the T-pose, joint
     k does M_k(t) T_k^-1 to what is bound to it there. Where two parts blend, skin lies between other two rigid motions
     than before; all else is the same.
-
-    Args:
-        animation: Of the character by its 30 handles.
-        anatomy: Of that character.
-        skeleton: What `on_skeleton` made of it.
 
     Raises:
         CharacterError: That is another character.

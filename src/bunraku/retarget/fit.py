@@ -50,7 +50,6 @@ def fit_motion(
 
     Args:
         motion: Motion of the reference body's handles, feet on y = 0.
-        anatomy: Of the character.
         stages: Which stages run; all but `hands` and `shape` when None.
         heights: Of the lowest point of the body that moves, where that is not the reference body, in its scale [m],
             shape (N,).
@@ -65,12 +64,8 @@ def fit_motion(
 
 
 def posed(motion: HandleMotion, anatomy: Anatomy) -> HandleMotion:
-    """A motion of the reference body as a character's parts do it, before anything looks at the ground or the mesh:
-    the stages of `POSING` alone.
-
-    Args:
-        motion: Of the reference body.
-        anatomy: Of the character.
+    """A motion of the reference body as a character's parts do it, before anything looks at the ground or the mesh: the
+    stages of `POSING` alone.
     """
     return _through(POSING, Fitting.of(motion, anatomy), anatomy)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from bunraku.core.body.reference import reference_body
 from bunraku.core.geometry.curves import gaussian, smooth_step
 from bunraku.core.geometry.rotations import (
     axis_angle_from_matrix,
-    heading,
+    facing_and_tilt,
     matrix_from_axis_angle,
     matrix_slerp,
     matrix_y,
@@ -28,15 +29,12 @@ _FRONT = [HANDLE_NAMES.index(name) for name in ("neck", "head", "head_top", "fac
 
 
 def laid(motion: HandleMotion, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Local rotations (N, 30, 3, 3) and those of the root (N, 3, 3) in which a long body without legs keeps to the
-    ground: its root does not tilt, its parts turn aside only, and its neck and head no farther down than they rest.
-
-    Args:
-        motion: Of the reference body.
-        share: How much of that is done in each frame, 0 to 1, shape (N,).
+    """Local rotations (N, 30, 3, 3) and those of the root (N, 3, 3) of the reference body's motion in which a long body
+    without legs keeps to the ground: its root does not tilt, its parts turn aside only, and its neck and head no
+    farther down than they rest. `share` (N,) says how much of that is done in each frame, 0 to 1.
     """
     root = motion.root_rotation.astype(np.float64)
-    facing = np.asarray(matrix_y(heading(root, motion.fps)), np.float64)
+    facing, _ = facing_and_tilt(root, motion.fps)
     flat = matrix_slerp(root, facing, share)
     seen = flat.transpose(0, 2, 1) @ root  # what is left of the tilt is for the parts to keep
     rotations = motion.rotations.astype(np.float64).copy()
@@ -81,20 +79,13 @@ _HEAD = [HANDLE_NAMES.index(name) for name in ("head", "face", "head_top")]
 
 
 def wing_swing(motion: HandleMotion) -> float:
-    """Through which angle the wings of a body swing, as 5 of 100 frames are beyond it at either end [rad].
-
-    Args:
-        motion: Of the reference body.
-    """
+    """Through which angle the wings of the reference body swing [rad]: 5 of 100 frames are beyond it at either end."""
     return _range(_wing_turns(motion))
 
 
 def wings_carry(motion: HandleMotion) -> bool:
-    """Whether the wings of a body beat, through an angle (`BEATS`) and at a speed (`LIFTS`) that carry it; how they are
-    held (`HELD`) is no beat.
-
-    Args:
-        motion: Of the reference body.
+    """Whether the wings of the reference body beat, through an angle (`BEATS`) and at a speed (`LIFTS`) that carry it;
+    how they are held (`HELD`) is no beat.
     """
     turns = _wing_turns(motion)
     swings = turns - gaussian(turns, HELD * motion.fps)
@@ -112,23 +103,16 @@ def _range(turns: np.ndarray) -> float:
 
 
 def moved_so(motion: HandleMotion, locomotion: str, where: slice, anatomy: Anatomy, loop: bool = False) -> HandleMotion:
-    """The motion with what a locomotion needs in some of its frames; as it is for other kinds than "fly", "swim" and
-    those of `AIR`. "Stay" is to be in the air for no longer than a jump, and "lie" to be on the ground with all but the
-    front.
-
-    Args:
-        motion: Of the reference body, generated for this character.
-        locomotion: How it moves.
-        where: The frames.
-        anatomy: Of the character.
-        loop: Whether the last frame is the first again.
+    """The motion of the reference body, generated for a character, with what a locomotion needs in some of its frames;
+    as it is for other kinds than "fly", "swim" and those of `AIR`. "Stay" is to be in the air for no longer than a
+    jump, and "lie" to be on the ground with all but the front. In a `loop` the last frame is the first again.
     """
     frames = np.arange(len(motion))[where]
     if locomotion not in ("fly", *WAVE, *AIR) or len(frames) < 2:
         return motion
     if locomotion in ("lie", "slither"):
         turned, root = laid(motion, _amount(len(motion), frames, motion.fps))
-        motion = replace(_attached(motion, turned, motion.root_translation.astype(np.float64)), root_rotation=root)
+        motion = _attached(motion, turned, root_rotation=root)
     if locomotion == "fly":
         return _flown(motion, frames, anatomy, loop)
     if locomotion in WAVE:
@@ -173,8 +157,7 @@ def _tail_lowered(motion: HandleMotion, share: np.ndarray, anatomy: Anatomy) -> 
     if after is before:
         return motion
     turn = axis_angle_from_matrix(after @ before.transpose(0, 1, 3, 2))
-    after = matrix_from_axis_angle(share[:, None, None] * np.asarray(turn)) @ before
-    return _attached(motion, after, motion.root_translation.astype(np.float64))
+    return _attached(motion, matrix_from_axis_angle(share[:, None, None] * np.asarray(turn)) @ before)
 
 
 def _root() -> float:
@@ -213,7 +196,7 @@ def _flown(motion: HandleMotion, frames: np.ndarray, anatomy: Anatomy, loop: boo
     path = motion.root_translation.astype(np.float64)
     level = HOVER * _root() - BOB * _root() * np.sin(phase - 0.5)
     path[:, 1] += share * (level - path[:, 1])
-    return _attached(motion, rotations, path)
+    return _attached(motion, rotations, root_translation=path)
 
 
 def _righted(motion: HandleMotion, share: np.ndarray) -> HandleMotion:
@@ -222,13 +205,19 @@ def _righted(motion: HandleMotion, share: np.ndarray) -> HandleMotion:
     def within(turn: np.ndarray) -> np.ndarray:
         size = np.linalg.norm(turn, axis=-1, keepdims=True)
         least = np.minimum(1, TILT / np.maximum(size, 1e-9))
-        return np.asarray(matrix_from_axis_angle(turn * (1 + (least - 1) * share.reshape(-1, *[1] * (turn.ndim - 1)))))
+        return np.asarray(turn * (1 + (least - 1) * share.reshape(-1, *[1] * (turn.ndim - 1))))
 
-    facing = np.asarray(matrix_y(heading(motion.root_rotation, motion.fps)), np.float64)
-    root = facing @ within(np.asarray(axis_angle_from_matrix(facing.transpose(0, 2, 1) @ motion.root_rotation)))
-    rotations = motion.rotations.astype(np.float64).copy()
-    rotations[:, _TRUNK] = within(np.asarray(axis_angle_from_matrix(rotations[:, _TRUNK])))
-    return replace(_attached(motion, rotations, motion.root_translation.astype(np.float64)), root_rotation=root)
+    return _bent(motion, _TRUNK, within)
+
+
+def _bent(motion: HandleMotion, parts: list[int], change: Callable[[np.ndarray], np.ndarray]) -> HandleMotion:
+    """The motion with the tilt of its root and the turns of some parts, axes times angles [rad], changed."""
+    facing, tilt = facing_and_tilt(motion.root_rotation, motion.fps)
+    root = facing @ matrix_from_axis_angle(change(np.asarray(axis_angle_from_matrix(tilt))))
+    rotations = motion.rotations.astype(np.float64)
+    turns = change(np.asarray(axis_angle_from_matrix(rotations[:, parts])))
+    rotations[:, parts] = matrix_from_axis_angle(turns)
+    return _attached(motion, rotations, root_rotation=root)
 
 
 def _lifting_axis(anatomy: Anatomy, wing: int) -> np.ndarray:
@@ -248,13 +237,9 @@ def _levelled(motion: HandleMotion, share: np.ndarray) -> HandleMotion:
 
     def without(turn: np.ndarray) -> np.ndarray:
         part = share.reshape(-1, *[1] * (turn.ndim - 1))
-        return np.asarray(matrix_from_axis_angle(turn - part * gaussian(turn, LASTS * motion.fps)))
+        return np.asarray(turn - part * gaussian(turn, LASTS * motion.fps))
 
-    facing = np.asarray(matrix_y(heading(motion.root_rotation, motion.fps)), np.float64)
-    root = facing @ without(np.asarray(axis_angle_from_matrix(facing.transpose(0, 2, 1) @ motion.root_rotation)))
-    rotations, line = motion.rotations.astype(np.float64).copy(), [*_TRUNK, *_HEAD]
-    rotations[:, line] = without(np.asarray(axis_angle_from_matrix(rotations[:, line])))
-    return replace(_attached(motion, rotations, motion.root_translation.astype(np.float64)), root_rotation=root)
+    return _bent(motion, [*_TRUNK, *_HEAD], without)
 
 
 def _waved(motion: HandleMotion, locomotion: str, frames: np.ndarray, anatomy: Anatomy, loop: bool) -> HandleMotion:
@@ -273,22 +258,21 @@ def _waved(motion: HandleMotion, locomotion: str, frames: np.ndarray, anatomy: A
             turn = matrix_from_axis_angle(angle[:, None] * axis)
             for part in _HEAD if name == "head" else [HANDLE_NAMES.index(name)]:
                 rotations[:, part] = turn @ rotations[:, part]
-    return _attached(motion, rotations, path)
+    return _attached(motion, rotations, root_translation=path)
 
 
 def _upon_base(motion: HandleMotion) -> HandleMotion:
     """The motion with its root upright, whatever it rests on: all that is above tilts in its place."""
-    facing = np.asarray(matrix_y(heading(motion.root_rotation, motion.fps)), np.float64)
-    rotations = (facing.transpose(0, 2, 1) @ motion.root_rotation)[:, None] @ motion.rotations.astype(np.float64)
+    facing, tilt = facing_and_tilt(motion.root_rotation, motion.fps)
+    rotations = tilt[:, None] @ motion.rotations.astype(np.float64)
     rotations[:, 0] = np.eye(3)
-    path = motion.root_translation.astype(np.float64)
-    return replace(_attached(motion, rotations, path), root_rotation=facing)
+    return _attached(motion, rotations, root_rotation=facing)
 
 
 def _travelled(motion: HandleMotion, locomotion: str, frames: np.ndarray, anatomy: Anatomy) -> np.ndarray:
     """The root's path, at a speed fit for the body's size where it hardly gets ahead, shape (N, 3)."""
     path = motion.root_translation.astype(np.float64)
-    ahead = matrix_y(np.asarray(heading(motion.root_rotation, motion.fps)))[:, :, 2]
+    ahead = facing_and_tilt(motion.root_rotation, motion.fps)[0][:, :, 2]
     own = float(((path[frames[-1]] - path[frames[0]]) * ahead[frames].mean(axis=0)).sum())
     length = float(np.ptp(anatomy.mesh.vertices[anatomy.mesh.surface], axis=0).max()) / anatomy.scale
     wanted = SPEED[locomotion] * length * len(frames) / motion.fps
@@ -306,11 +290,13 @@ def _flat_tail(anatomy: Anatomy) -> bool:
     return bool(size[0] > 1.5 * size[1])
 
 
-def _attached(motion: HandleMotion, rotations: np.ndarray, path: np.ndarray) -> HandleMotion:
-    """The motion with other rotations and another path; parts stay as far from their joints as they were."""
+def _attached(motion: HandleMotion, rotations: np.ndarray, **root: np.ndarray) -> HandleMotion:
+    """The motion with other rotations, and perhaps another `root_rotation` and `root_translation`; parts stay as far
+    from their joints as they were.
+    """
     body = reference_anatomy()
     before = body.attached(motion.rotations.astype(np.float64))[1]
     after = body.attached(rotations)[1]  # its rotations let a tail, which people lack, go with the hips
     moved = motion.translations.astype(np.float64) - before + after
     moved[:, 0] = 0
-    return replace(motion, rotations=rotations, translations=moved, root_translation=path)
+    return motion.with_arrays({"rotations": rotations, "translations": moved, **root})

@@ -24,11 +24,7 @@ MOST_TRANSFORMS = 20_000_000  # of all bones in all frames: 1 GB
 
 
 def model_of(target: Character | MmdModel) -> MmdModel:
-    """The MMD model of a character.
-
-    Raises:
-        MotionError: It was not read from a PMX or PMD file.
-    """
+    """The MMD model of a character; MotionError where it was not read from a PMX or PMD file."""
     model = target if isinstance(target, MmdModel) else mmd_model(target)
     if model is None:
         raise MotionError(f"{target.name}: this character is not an MMD model; load one from a PMX or PMD file")
@@ -36,11 +32,7 @@ def model_of(target: Character | MmdModel) -> MmdModel:
 
 
 def standard_bones(model: MmdModel) -> SkeletonMap:
-    """Which bones of a model are which of SMPL's 22 joints.
-
-    Raises:
-        MotionError: The bones do not have MMD's standard names.
-    """
+    """Which bones of a model are which of SMPL's 22 joints; MotionError where they do not have MMD's standard names."""
     bones = mmd_skeleton_map(model.names)
     if bones is None:
         raise MotionError(
@@ -49,17 +41,9 @@ def standard_bones(model: MmdModel) -> SkeletonMap:
     return bones
 
 
-def play_vmd(target: Character | MmdModel, vmd: VmdMotion, fps: float = VMD_FPS, *, ik: bool | None = None) -> MmdPoses:
-    """Pose an MMD model by a VMD.
-
-    Args:
-        target: The model, or the character that was read from it.
-        vmd: The motion; bones that the model lacks are passed over.
-        fps: Frames a second [1/s].
-        ik: Whether inverse kinematics are solved; None does as the file's switches say.
-
-    Raises:
-        MotionError: The character is no MMD model, none of its bones has keys, or there are too many frames.
+def play_vmd(target: Character | MmdModel, vmd: VmdMotion, fps: float = VMD_FPS) -> MmdPoses:
+    """Pose an MMD model, or the one that a character was read from, by a VMD; bones that it lacks are passed over.
+    MotionError where the character is no MMD model, none of its bones has keys, or there are too many frames.
     """
     model = model_of(target)
     bones = {_cut(name, 15): name for name in reversed(model.names)}
@@ -77,7 +61,7 @@ def play_vmd(target: Character | MmdModel, vmd: VmdMotion, fps: float = VMD_FPS,
     tracks = {bones[name]: track for name, track in vmd.sample(fps, bones).items()}
     frames = np.arange(count) * (VMD_FPS / fps)
     goals = [bone.name for bone in model.bones if bone.ik is not None]
-    on = {name: _switched(vmd, _cut(name, 20), frames) if ik is None else np.full(count, ik) for name in goals}
+    on = {name: _switched(vmd, _cut(name, 20), frames) for name in goals}
     return pose_mmd(model, tracks, on, frames=count, fps=fps)
 
 
@@ -102,10 +86,8 @@ def _switched(vmd: VmdMotion, name: str, frames: np.ndarray) -> np.ndarray:
 
 
 def mmd_poses_to_smpl(poses: MmdPoses) -> SkeletalMotion:
-    """The motion of SMPL's 22 joints that moves as an MMD model does, inverse kinematics and all.
-
-    Raises:
-        MotionError: The bones do not have MMD's standard names.
+    """The motion of SMPL's 22 joints that moves as an MMD model does, inverse kinematics and all; MotionError where the
+    bones do not have MMD's standard names.
     """
     bones = standard_bones(poses.model)
     parents = poses.model.parents
@@ -136,22 +118,11 @@ _HIPS, _CENTRE, _ARMS = 11 * MMD_METRE, 8 * MMD_METRE, np.radians(35)
 _KNEE = mmd_angles(np.radians([-180.0, 0, 0]), np.radians([-0.5, 0, 0]))
 
 
-def vmd_motion(
-    motion: VmdMotion | str | Path, model: MmdModel | None = None, *, fps: float = VMD_FPS
-) -> SkeletalMotion:
-    """A VMD as a motion of SMPL's 22 joints.
-
-    Args:
-        motion: The motion, or its file.
-        model: The model that it was made for; `standard_model()` by default.
-        fps: Frames a second of the result [1/s].
-
-    Raises:
-        FormatError: The file cannot be read.
-        MotionError: It moves none of the model's bones, or the model lacks MMD's standard names.
+def vmd_motion(path: str | Path, fps: float = VMD_FPS) -> SkeletalMotion:
+    """A VMD file as a motion of SMPL's 22 joints at a rate [1/s], made for MMD's standard bones; MotionError where it
+    moves none of them.
     """
-    vmd = motion if isinstance(motion, VmdMotion) else load_vmd(motion)
-    return mmd_poses_to_smpl(play_vmd(standard_model() if model is None else model, vmd, fps))
+    return mmd_poses_to_smpl(play_vmd(standard_model(), load_vmd(path), fps))
 
 
 @lru_cache(maxsize=1)
@@ -220,7 +191,6 @@ def mmd_motion(target: Character | MmdModel, motion: SkeletalMotion) -> MmdClip:
     """A motion of SMPL's 22 joints as keys of an MMD model's bones.
 
     Args:
-        target: The model, or the character that was read from it.
         motion: Of SMPL's 22 joints, as `to_smpl` gives it; at any rate.
 
     Returns:
@@ -287,16 +257,11 @@ def _hips(model: MmdModel, found: SkeletonMap, motion: SkeletalMotion) -> np.nda
 
 
 def mmd_clip(animation: RigAnimation) -> MmdClip:
-    """An animation of an MMD character's rig as keys of its bones, resampled to 30 frames a second.
+    """An animation of an MMD character's rig as keys of its bones, resampled to 30 frames a second; MotionError where
+    the character is no MMD model.
 
     What a bone takes over of another ("grant") is taken off its keys again, since MMD adds it. Bones that stand still
     on their parents have no keys: those of them that take over follow in MMD as the model's maker meant them to.
-
-    Args:
-        animation: Of a character that was read from a PMX or PMD file.
-
-    Raises:
-        MotionError: The character is no MMD model.
     """
     model = model_of(animation.character)
     rotations, translations = _resampled(animation)

@@ -59,27 +59,15 @@ Tracks = Mapping[str, tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True)
 class MmdPoses:
-    """Where the bones of a model are in N frames.
-
-    Args:
-        model: The model.
-        rotations: World rotation of each bone, the identity at rest, shape (N, B, 3, 3).
-        positions: World position of each bone [m], shape (N, B, 3).
-        fps: Frames a second [1/s].
-    """
+    """Where the bones of a model are in N frames."""
 
     model: MmdModel
-    rotations: np.ndarray
-    positions: np.ndarray
+    rotations: np.ndarray  # world rotation of each bone, the identity at rest, shape (N, B, 3, 3)
+    positions: np.ndarray  # world position of each bone [m], shape (N, B, 3)
     fps: float = 30.0
 
     def __len__(self) -> int:
         return len(self.positions)
-
-    def transforms(self) -> np.ndarray:
-        """What takes rest positions to posed ones, shape (N, B, 3, 4), float32."""
-        moved = self.positions - np.einsum("nbij,bj->nbi", self.rotations, self.model.positions)
-        return np.concatenate([self.rotations, moved[..., None]], axis=-1).astype(np.float32)
 
 
 def pose_mmd(
@@ -89,12 +77,10 @@ def pose_mmd(
     """Pose a model.
 
     Args:
-        model: The model.
         tracks: By bones' names: how far each is moved from its rest position [m] (N, 3), and how it is turned (N, 3,
             3), in its parent's axes. Bones without a track rest; names that the model lacks are passed over.
         ik: By names of bones with inverse kinematics: whether they are on, shape (N,), bool; on where nothing is said.
         frames: N, where there are no tracks to tell.
-        fps: Frames a second [1/s].
 
     Returns:
         The poses, in float32.
@@ -191,10 +177,6 @@ class _State:
         if append.translation:
             move = self.moves[:, source] if append.local else self.taken_moves.get(source, self.keyed_moves[:, source])
             self.taken_moves[bone] = append.ratio * move
-        self._compose(bone)
-
-    def _compose(self, bone: int) -> None:
-        """Local transform from keys, inverse kinematics and what is taken over."""
         turn = self.keyed_rotations[:, bone]
         turn = self.solved[bone] @ turn if bone in self.solved else turn
         self.local[:, bone] = turn @ self.taken_rotations[bone] if bone in self.taken_rotations else turn

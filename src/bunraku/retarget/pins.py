@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 
@@ -41,7 +40,7 @@ MISSED = 10 * CLOSE
 
 
 @dataclass(frozen=True)
-class Pin(Constraint):
+class Pin(Constraint, kind="pin", several=True):
     """Where a hand or a foot is at a time.
 
     Args:
@@ -61,9 +60,6 @@ class Pin(Constraint):
     rotation: np.ndarray | None = None
     hold: float = 0.0
 
-    kind: ClassVar[str] = "pin"
-    several: ClassVar[bool] = True
-
     def __post_init__(self) -> None:
         if self.part not in PINNED:
             raise OptionError(f"'{self.part}' cannot be pinned; there are {', '.join(PINNED)}")
@@ -79,11 +75,7 @@ class Pin(Constraint):
             object.__setattr__(self, "rotation", turn)
 
     def frames(self, count: int, fps: float) -> np.ndarray:
-        """The frames in which it is held.
-
-        Raises:
-            OptionError: It is after the end of the clip.
-        """
+        """The frames in which it is held; OptionError where it is after the end of the clip."""
         first = round(self.time * fps)
         if first >= count:
             raise OptionError(
@@ -94,13 +86,8 @@ class Pin(Constraint):
 
 @dataclass(frozen=True, eq=False)
 class LimbEnd:
-    """The end of a limb that can be pinned.
-
-    Args:
-        part: One of `PINNED`.
-        handle: The handle that it moves with.
-        point: The wrist or ankle in the rest pose [m], shape (3,).
-        limb: The limb.
+    """The end of a limb that can be pinned: its part (`PINNED`), the handle that it moves with, and the wrist or ankle
+    in the rest pose [m], shape (3,).
     """
 
     part: str
@@ -128,12 +115,7 @@ def end_positions(motion: HandleMotion, handles: Handles, ends: Sequence[LimbEnd
 
 
 def meet_pins(motion: HandleMotion, anatomy: Anatomy, pins: Sequence[Pin]) -> HandleMotion:
-    """The motion of a character with its pins met.
-
-    Args:
-        motion: Of the character, N frames.
-        anatomy: Of the character.
-        pins: At most one of a part at a time.
+    """The motion of a character (N frames) with its pins met, at most one of a part at a time.
 
     Raises:
         OptionError: A part is not there, a pin is after the end, or pins of one time are too far apart for the body.
@@ -156,15 +138,19 @@ def meet_pins(motion: HandleMotion, anatomy: Anatomy, pins: Sequence[Pin]) -> Ha
     limbs, height = [end.limb for end in ends], character.height
     feet = [number for number, end in enumerate(ends) if end.part.endswith("foot")]
     planted = end_positions(motion, handles, ends)
+
+    def missing() -> np.ndarray:
+        return np.where(pinned[..., None], goals - end_positions(motion, handles, ends), 0)
+
     for _ in range(ROUNDS):
-        off = np.where(pinned[..., None], goals - end_positions(motion, handles, ends), 0)
+        off = missing()
         if np.abs(off).max() <= CLOSE * height:
             break
         lead = LEAD * motion.fps
         shifts = np.stack([spread(pinned[:, n], off[:, n], lead) for n in range(len(ends))], axis=1)
         reach |= np.abs(shifts).max(axis=(1, 2)) > 0
         motion = with_feet_moved(motion, anatomy, limbs, shifts)
-        off = np.where(pinned[..., None], goals - end_positions(motion, handles, ends), 0)
+        off = missing()
         if np.abs(off).max() <= CLOSE * height:
             break
         frames = pinned.any(axis=1)  # what the limbs do not reach
@@ -177,8 +163,7 @@ def meet_pins(motion: HandleMotion, anatomy: Anatomy, pins: Sequence[Pin]) -> Ha
             free = 1 - spread(pinned[:, number], np.ones((len(motion), 1)), LEAD * motion.fps)
             stay[:, number] = free * (planted - end_positions(motion, handles, ends))[:, number]
         motion = with_feet_moved(motion, anatomy, limbs, stay)
-    off = np.where(pinned[..., None], goals - end_positions(motion, handles, ends), 0)
-    worst = np.linalg.norm(off, axis=-1)
+    worst = np.linalg.norm(missing(), axis=-1)
     if worst.max() > MISSED * height:
         frame, missed = (int(index) for index in np.unravel_index(int(worst.argmax()), worst.shape))
         raise OptionError(
@@ -187,19 +172,14 @@ def meet_pins(motion: HandleMotion, anatomy: Anatomy, pins: Sequence[Pin]) -> Ha
         )
     turned = [pin for pin in pins if pin.rotation is not None]
     for pin in turned:
-        reach |= np.abs(spread(_asked(pin, motion), np.ones((len(motion), 1)), LEAD * motion.fps))[:, 0] > 0
+        held = np.isin(np.arange(len(motion)), pin.frames(len(motion), motion.fps))
+        reach |= np.abs(spread(held, np.ones((len(motion), 1)), LEAD * motion.fps))[:, 0] > 0
     met = _turned(motion, handles, joints, ends, turned)
     arrays = {}
     for name in HandleMotion.arrays:
         after, before = getattr(met, name), getattr(given, name)
         arrays[name] = np.where(reach.reshape(-1, *[1] * (after.ndim - 1)), after, before)
     return replace(met, **arrays)  # what no pin reaches stays bit for bit
-
-
-def _asked(pin: Pin, motion: HandleMotion) -> np.ndarray:
-    pinned = np.zeros(len(motion), bool)
-    pinned[pin.frames(len(motion), motion.fps)] = True
-    return pinned
 
 
 def _turned(
@@ -229,15 +209,8 @@ def _turned(
 
 
 def spread(pinned: np.ndarray, values: np.ndarray, lead: float) -> np.ndarray:
-    """A smooth curve through values in the frames that ask for one, which comes from zero before and goes to it after.
-
-    Args:
-        pinned: Which frames ask, shape (N,), bool.
-        values: What for, shape (N, D).
-        lead: Frames over which it comes and goes; frames that ask and are nearer than twice that are joined.
-
-    Returns:
-        Shape (N, D).
+    """A smooth curve (N, D) through values (N, D) in the frames that are `pinned` (N,), which comes from zero over
+    `lead` frames before them and goes to it after. Frames that are nearer than twice that are joined.
     """
     out = np.zeros(values.shape)
     frames = np.flatnonzero(pinned)

@@ -68,36 +68,23 @@ _FEET = tuple(HANDLE_NAMES.index(f"{side}_{part}") for part in ("ankle", "foot")
 
 @dataclass(frozen=True, eq=False)
 class RigParts:
-    """The bones of a character's rig as parts of the reference body.
-
-    Args:
-        character: The character, facing +Z.
-        handles: 30 handles whose weights are those of their bones.
-        joints: Where handles meet: heads of bones, and parents as the rig has them.
-        rotations: From the rest pose into the reference body's, shape (30, 3, 3).
-        parts: Handle of each bone, -1 where it goes along with its parent, shape (J,).
-        leads: First bone of each handle, -1 for none, shape (30,).
-        parents: Parent of each bone for posing, shape (J,): feet that hang on the root hang on their legs.
-        still: Bones over the pelvis that hold nothing and stay where they are, shape (J,), bool.
-        hung: Whether each bone hangs on its parent and keeps its length, or goes wholly with its handle.
-    """
+    """The bones of a character's rig as parts of the reference body."""
 
     character: Character
-    handles: Handles
-    joints: Joints
-    rotations: np.ndarray
-    parts: np.ndarray
-    leads: np.ndarray
-    parents: np.ndarray
-    still: np.ndarray
-    hung: bool = True
+    handles: Handles  # 30 handles whose weights are those of their bones
+    joints: Joints  # where handles meet: heads of bones, and parents as the rig has them
+    rotations: np.ndarray  # from the rest pose into the reference body's, shape (30, 3, 3)
+    parts: np.ndarray  # handle of each bone, -1 where it goes along with its parent, shape (J,)
+    leads: np.ndarray  # first bone of each handle, -1 for none, shape (30,)
+    parents: np.ndarray  # parent of each bone for posing, shape (J,): feet that hang on the root hang on their legs
+    still: np.ndarray  # bones over the pelvis that hold nothing and stay where they are, shape (J,), bool
+    hung: bool = True  # whether each bone hangs on its parent and keeps its length, or goes wholly with its handle
 
     @classmethod
     def of(cls, character: Character, known: np.ndarray | None = None) -> RigParts:
         """Read a rig.
 
         Args:
-            character: Facing +Z.
             known: Handle of each bone, -1 for none, shape (J,); by the file and the bones' names when None.
 
         Raises:
@@ -125,10 +112,8 @@ class RigParts:
         for bone in order:
             if parts[bone] != NO_HANDLE and leads[parts[bone]] < 0:
                 leads[parts[bone]] = bone
-        for wrist in WRISTS:
-            parts, leads[wrist] = _hand_below(wrist, int(leads[wrist]), without_prefix(rig.names), parts, parents, mass)
-        for hip in _HIPS:
-            parts, leads[hip] = _thigh_below(hip, int(leads[hip]), without_prefix(rig.names), parts, parents)
+        for part in (*WRISTS, *_HIPS):
+            parts, leads[part] = _lead_below(part, int(leads[part]), without_prefix(rig.names), parts, parents, mass)
         if leads[0] < 0:
             raise CharacterError(
                 f"{character.name}: no bone of its rig is known to be the pelvis; put the motion on its handles instead"
@@ -139,11 +124,8 @@ class RigParts:
 
     @classmethod
     def by_skin(cls, body: Anatomy) -> RigParts | None:
-        """A rig by what its bones move, whatever their names: each bone is a part of the handle that holds most of its
-        skin. None where there is no rig, or its bones cannot move what the handles move.
-
-        Args:
-            body: The character, and the handles of its mesh.
+        """A rig by what its bones move, whatever their names: each bone is a part of the handle of the mesh that holds
+        most of its skin. None where there is no rig, or its bones cannot move what the handles move.
         """
         character, found, rig = body.character, body.handles, body.character.rig
         if rig is None:
@@ -208,11 +190,8 @@ class RigParts:
         return upright(self.handles) or upright(replace(self.handles, positions=positions))
 
     def world(self, transforms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """World rotations (N, J, 3, 3) and heads [m] (N, J, 3) of the bones for transforms of the handles; bones keep
-        their lengths.
-
-        Args:
-            transforms: Of each handle, shape (N, 30, 3, 4).
+        """World rotations (N, J, 3, 3) and heads [m] (N, J, 3) of the bones for transforms (N, 30, 3, 4) of the
+        handles; bones keep their lengths.
         """
         assert self.character.rig is not None
         rest = self.character.rig.positions
@@ -275,13 +254,9 @@ def _lowered(turns: np.ndarray, handles: Handles, joints: Joints, legs: list[lis
 
 
 def _moves_all(body: Anatomy, shared: np.ndarray, parts: np.ndarray) -> bool:
-    """Whether bones can move what carries a body, each limb on its own: its legs and the arms of a person, or, without
-    legs and lying, its wings or its tail.
-
-    Args:
-        body: The body by the handles of its mesh.
-        shared: How much skin each bone shares with each handle, shape (J, 30).
-        parts: Handle of each bone, -1 for none, shape (J,).
+    """Whether bones, each a part of a handle or of none, -1, shape (J,), can move what carries a body, each limb on its
+    own: its legs and the arms of a person, or, without legs and lying, its wings or its tail. `shared` (J, 30) says how
+    much skin each bone shares with each handle.
     """
     plan = body.plan
 
@@ -297,11 +272,8 @@ def _moves_all(body: Anatomy, shared: np.ndarray, parts: np.ndarray) -> bool:
 
 
 def understood_rig(character: Character) -> RigParts | None:
-    """The rig of a person, of four legs or more, or of a bird, read from the file, the names of its bones or their
-    shape; None where it is none of these, or there is none.
-
-    Args:
-        character: Facing +Z.
+    """The rig of a character that faces +Z: of a person, of four legs or more, or of a bird, read from the file, the
+    names of its bones or their shape; None where it is none of these, or there is none.
     """
     many = legs_of_rig(character)
     for shaped in (None, _shaped_parts(character)):
@@ -368,13 +340,8 @@ def _mmd_rig(character: Character) -> MmdModel | None:
 
 
 def _avatar_parts(character: Character, followed: np.ndarray, mass: np.ndarray) -> np.ndarray | None:
-    """Handle of each bone of an avatar whose file or format says which bones are a person's, shape (J,); -1 for others.
-    None for other characters.
-
-    Args:
-        character: With a rig.
-        followed: The bone that each bone goes along with, shape (J,).
-        mass: How much skin each bone holds, shape (J,).
+    """Handle of each bone of an avatar whose file or format says which bones are a person's, shape (J,), -1 for others;
+    None for other characters. Each bone goes along with the one of `followed` (J,), and holds `mass` (J,) of the skin.
     """
     model = _mmd_rig(character)
     standard = None if model is None else mmd_skeleton_map(model.names)
@@ -412,26 +379,18 @@ def _vrm_parts(character: Character) -> np.ndarray | None:
     return out if (out == 0).any() else None
 
 
-def _hand_below(
-    wrist: int, lead: int, names: Sequence[str], parts: np.ndarray, parents: np.ndarray, mass: np.ndarray
+def _lead_below(
+    part: int, lead: int, names: Sequence[str], parts: np.ndarray, parents: np.ndarray, mass: np.ndarray
 ) -> tuple[np.ndarray, int]:
-    """Parts and first bone of a hand whose rig has a wrist bone above it: clips turn the one that holds the hand."""
-    below = [
-        bone
-        for bone in np.flatnonzero(parents == lead)
-        if parts[bone] == wrist and part_of_name(names[int(bone)])[0] == "wrist"
-    ]
-    if lead < 0 or len(below) != 1 or mass[below[0]] <= mass[lead]:
+    """Parts and the first bone of a hand or a leg. Where a wrist bone stands above the one that holds the hand, clips
+    turn the latter, and where a thigh hangs on half of a pelvis, that goes along with the pelvis.
+    """
+    below = [int(bone) for bone in np.flatnonzero(parents == lead) if parts[bone] == part]
+    if part in WRISTS:
+        below = [bone for bone in below if part_of_name(names[bone])[0] == "wrist"]
+    if lead < 0 or len(below) != 1:
         return parts, lead
-    return np.where(np.arange(len(parts)) == lead, NO_HANDLE, parts), int(below[0])
-
-
-def _thigh_below(
-    hip: int, lead: int, names: Sequence[str], parts: np.ndarray, parents: np.ndarray
-) -> tuple[np.ndarray, int]:
-    """Parts and the first bone of a leg whose thigh hangs on half of a pelvis: that goes along with the pelvis."""
-    below = [int(bone) for bone in np.flatnonzero(parents == lead) if parts[bone] == hip]
-    if lead < 0 or len(below) != 1 or part_of_name(names[lead])[0] != "hips":
+    if mass[below[0]] <= mass[lead] if part in WRISTS else part_of_name(names[lead])[0] != "hips":
         return parts, lead
     return np.where(np.arange(len(parts)) == lead, NO_HANDLE, parts), below[0]
 

@@ -5,7 +5,6 @@ moves.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -13,9 +12,8 @@ from bunraku.anatomy.anatomy import Anatomy, reference_anatomy
 from bunraku.anatomy.joints import downwards, reference_parts
 from bunraku.core.animation import Animation, RigAnimation
 from bunraku.core.body.layout import HANDLE_NAMES, HANDLE_PARENTS
-from bunraku.core.body.reference import ReferenceBody, capped, handle_positions, reference_body
-from bunraku.core.geometry.surface import vertex_areas
-from bunraku.core.motion import HandleMotion, SkeletalMotion
+from bunraku.core.body.reference import capped, reference_body
+from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import register, skin
 from bunraku.retarget.rig_parts import RigParts
 
@@ -23,15 +21,14 @@ _TAIL = [HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")]
 
 
 def motion_to_reference(motion: HandleMotion, anatomy: Anatomy, own: bool = False) -> HandleMotion:
-    """A handle motion of a character as the one of the reference body that `fit_motion` of such a motion without
-    its ground stages takes back to the character's.
+    """A handle motion of a character as the one of the reference body that `fit_motion` of such a motion without its
+    ground stages takes back to the character's.
 
     Limbs turn back from the character's rest directions, parts that the character lacks move with their parents, and
     what its parts do beyond stiff joints is carried over in the reference's scale. Of several limbs that play one part,
     the first counts. The root's path keeps its height over the floor that the character's rest pose stands on.
 
     Args:
-        motion: Motion of the character's handles.
         anatomy: Of the character, in the pose that the motion is relative to.
         own: The motion stays one of this very body. Otherwise it becomes a person's: parts stay closer to their joints,
             there is no tail, and the reference body stands on y = 0.
@@ -55,22 +52,17 @@ def motion_to_reference(motion: HandleMotion, anatomy: Anatomy, own: bool = Fals
 def _as_person(motion: HandleMotion) -> HandleMotion:
     """The motion without a tail, and moved along Y so that the reference body stands on y = 0."""
     body = reference_body()
-    changed: dict[str, Any] = {"rotations": motion.rotations.copy(), "translations": motion.translations.copy()}
-    changed["rotations"][:, _TAIL], changed["translations"][:, _TAIL] = np.eye(3), 0
-    result = replace(motion, **changed)
+    rotations, translations = motion.rotations.copy(), motion.translations.copy()
+    rotations[:, _TAIL], translations[:, _TAIL] = np.eye(3), 0
+    result = replace(motion, rotations=rotations, translations=translations)
     lowest = skin(body.vertices, body.handle_weights, result.transforms(body.handles.positions))[..., 1].min(axis=1)
     floor = np.array([0, np.quantile(lowest, 0.05), 0], np.float32)
     return replace(result, root_translation=motion.root_translation - floor)
 
 
 def bones_to_handles(parts: RigParts, world_rotations: np.ndarray, positions: np.ndarray, fps: float) -> HandleMotion:
-    """Motion of the rig's 30 handles; each moves as its first bone.
-
-    Args:
-        parts: The rig.
-        world_rotations: World rotation of each bone from its rest pose, shape (N, J, 3, 3).
-        positions: Where its head is [m], shape (N, J, 3).
-        fps: Frames a second [1/s].
+    """Motion of the rig's 30 handles at a rate [1/s]; each moves as its first bone. The bones' world rotations (N, J,
+    3, 3) are from the rest pose, and their heads are at `positions` (N, J, 3) [m].
     """
     assert parts.character.rig is not None
     rest, h = parts.character.rig.positions, parts.handles.positions.astype(np.float64)
@@ -92,35 +84,19 @@ def bones_to_handles(parts: RigParts, world_rotations: np.ndarray, positions: np
 
 
 def handle_animation(animation: RigAnimation) -> Animation:
-    """The same animation on 30 handles, those of the rig; bones of one part become one.
-
-    Raises:
-        CharacterError: The names of its bones do not tell which parts they move.
+    """The same animation on 30 handles, those of the rig; bones of one part become one. CharacterError where the names
+    of its bones do not tell which parts they move.
     """
     parts = animation.parts or RigParts.of(animation.character)
     motion = bones_to_handles(parts, *animation.world(), animation.fps)
     return Animation(animation.character, parts.handles, motion, animation.reference)
 
 
-def rig_to_reference(
-    parts: RigParts, rotations: np.ndarray, positions: np.ndarray, fps: float, own: bool = False
-) -> HandleMotion:
-    """Motion of a rig's bones as handle motion of the reference body.
-
-    Args:
-        parts: The rig, facing +Z.
-        rotations: World rotation of each bone from its rest pose, shape (N, J, 3, 3).
-        positions: Where its head is [m], shape (N, J, 3).
-        fps: Frames a second [1/s].
-        own: See `motion_to_reference`.
-    """
-    return motion_to_reference(bones_to_handles(parts, rotations, positions, fps), parts.anatomy, own)
-
-
 def handle_motion_of_mesh(
     rest: np.ndarray, posed: np.ndarray, weights: np.ndarray, positions: np.ndarray, areas: np.ndarray, fps: float
 ) -> HandleMotion:
-    """Handle motion of a mesh that moves, by weighted rigid registration (section A.2).
+    """Handle motion of a mesh that moves, by weighted rigid registration (section A.2). Handles without weight stay at
+    the identity.
 
     The root handle's motion is the global one; it is taken off before the other handles are registered, so theirs are
     local.
@@ -132,9 +108,6 @@ def handle_motion_of_mesh(
         positions: Handle positions [m], shape (K, 3).
         areas: Surface area that each vertex stands for, shape (V,).
         fps: Frames a second [1/s].
-
-    Returns:
-        The motion; handles without weight stay at the identity.
     """
     mass = weights * areas[:, None]
     rotations, translations = register(rest, posed, mass[:, :1], positions[:1])
@@ -145,43 +118,3 @@ def handle_motion_of_mesh(
     still[0] = True
     rotations[:, still], translations[:, still] = np.eye(3), 0
     return HandleMotion(translations, rotations, root_translation, root_rotation, fps)
-
-
-CHUNK = 400  # frames posed at once: bounds memory at about 30 MB a worker
-
-
-def handle_motion_of_body(motion: SkeletalMotion, body: ReferenceBody | None = None) -> HandleMotion:
-    """Skeletal motion of SMPL's joints as handle motion of the reference body.
-
-    The body is set on the ground: the clip is moved along Y so that the lowest point of its standing frames (5 %
-    quantile) is at 0, unless that is more than 15 cm away, where the clip means to be off the ground.
-    """
-    registered, lowest, _ = registered_body(motion, body)
-    floor = float(np.quantile(lowest, 0.05))
-    drop = np.array([0, floor if abs(floor) < 0.15 else 0, 0], np.float32)
-    return replace(registered, root_translation=registered.root_translation - drop)
-
-
-def registered_body(
-    motion: SkeletalMotion, body: ReferenceBody | None = None
-) -> tuple[HandleMotion, np.ndarray, np.ndarray]:
-    """Handle motion of the reference body as the skeleton moves it, wherever the ground is.
-
-    Returns:
-        The motion, the lowest point of the body in each frame [m], shape (N,), and that of all but its arms.
-    """
-    body = body or reference_body()
-    areas = vertex_areas(body.vertices, body.faces)
-    positions = handle_positions(body.vertices, body.handle_weights, areas)
-    outer = ("elbow", "wrist", "fingers")
-    arms = [HANDLE_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in outer]
-    carries = body.handle_weights[:, arms].sum(axis=1) < 0.5
-    parts, lowest, carrying = [], [], []
-    for start in range(0, len(motion), CHUNK):
-        cut = slice(start, start + CHUNK)
-        part = SkeletalMotion(motion.skeleton, motion.rotations[cut], motion.root_translation[cut], motion.fps)
-        posed = body.pose(part)
-        lowest.append(posed[..., 1].min(axis=1))
-        carrying.append(posed[:, carries, 1].min(axis=1))
-        parts.append(handle_motion_of_mesh(body.vertices, posed, body.handle_weights, positions, areas, motion.fps))
-    return HandleMotion.joined(parts), np.concatenate(lowest), np.concatenate(carrying)

@@ -44,13 +44,7 @@ def fit_rig(
 
 
 def on_bones(parts: RigParts, fitted: HandleMotion, reference: HandleMotion | None = None) -> RigAnimation:
-    """The bones of a rig as its 30 handles move.
-
-    Args:
-        parts: The rig.
-        fitted: Motion of `parts.handles`.
-        reference: The motion of the reference body that it was fitted from.
-    """
+    """The bones of a rig as its 30 handles move, in a motion that was fitted from one of the reference body."""
     rotations, positions = parts.world(fitted.transforms(parts.handles.positions).astype(np.float64))
     positions = positions + np.where(parts.still[:, None], 0, parts.rise)
     moved = RigAnimation.of_world(parts.character, rotations, positions, fitted.fps, reference)
@@ -82,18 +76,12 @@ ALIKE, MOST = 5.0, 20.0
 def copied_bones(
     source: Character, world_rotations: np.ndarray, positions: np.ndarray, fps: float, character: Character
 ) -> RigAnimation | None:
-    """The clip on another character of the same skeleton, or None where it is another one.
+    """The clip of a character on another one of the same skeleton, or None where it is another skeleton. World
+    rotations (N, J, 3, 3) of the bones are from the rest pose, and their heads are at `positions` (N, J, 3) [m].
 
     Skeletons are the same when every bone that moves a vertex of the character is there by name, below the same bone,
     and rests in the same direction. Bones keep their rotations against their parents; what moves them off their
     positions is scaled by the size of the skeleton.
-
-    Args:
-        source: The character of the clip.
-        world_rotations: World rotation of each of its bones from the rest pose, shape (N, J, 3, 3).
-        positions: Where its head is [m], shape (N, J, 3).
-        fps: Frames a second [1/s].
-        character: The one to be moved.
     """
     if source.rig is None or character.rig is None:
         return None

@@ -14,7 +14,6 @@ from bunraku.core.animation import Animation, RigAnimation
 from bunraku.core.arrays import read_npy
 from bunraku.core.character import Character, Handles
 from bunraku.core.files import atomic_write, read_bounded
-from bunraku.core.motion import HandleMotion
 from bunraku.core.request import Progress
 from bunraku.errors import CharacterError, FormatError, OptionError
 from bunraku.files import document_of
@@ -32,19 +31,11 @@ _MAGIC = b"BNRM"
 
 
 def save_worn(character: Character, found: np.ndarray | None, path: Path, numbers: np.ndarray | None = None) -> None:
-    """Write what was found, and which vertices the page draws: `BNRM`, the length of a JSON header, the header
-    (`vertices`, `parts`: mesh, primitive, rows, and `numbered`), `packed_bits` of the mask, for each primitive the
-    vertex of the character that each of its rows is, uint32, and where it is numbered the part of each vertex, uint16:
-    0 is the body, and others are the entries of the record's `dress`, from 1 on.
-
-    Args:
-        character: The character.
-        found: Vertices that are apparel, shape (V,), bool; None where that is not known.
-        path: The file.
-        numbers: The part of each vertex, -1 on the body, shape (V,); None where that is not known.
-
-    Raises:
-        FormatError: It cannot be written.
+    """Write what was found of a character, vertices that are apparel (V,), None where that is not known, and which
+    vertices the page draws: `BNRM`, the length of a JSON header, the header (`vertices`, `parts`: mesh, primitive,
+    rows, and `numbered`), `packed_bits` of the mask, for each primitive the vertex of the character that each of its
+    rows is, uint32, and where it is numbered the part of each vertex, uint16: 0 is the body, and others are the entries
+    of the record's `dress`, from 1 on, which `numbers` (V,) has from 0 on, -1 on the body.
     """
     source = document_of(character)
     parts: list[dict[str, int]] = []
@@ -168,7 +159,7 @@ def dress_take(body: Animation | RigAnimation, apparel: Apparel, report: Progres
     if not apparel.moves:
         return body
     check_fits(apparel, body.character, len(body.motion) / body.fps)
-    moved = dressed(body, apparel.motion, stiffness=apparel.stiffness, gravity=apparel.gravity, progress=report)
+    moved = dressed(body, apparel, report)
     if apparel.motion == "chains" and isinstance(moved, RigAnimation):
         return Dressed.of_chains(body, moved, apparel.stiffness, apparel.gravity)
     return Dressed(body, moved, apparel.stiffness) if isinstance(moved, PointAnimation) else moved
@@ -178,23 +169,18 @@ def redress_take(
     take: Take, apparel: Apparel, handles: Handles, *, in_place: bool = False, stages: Stages | None = None,
     report: Progress,
 ) -> Take:  # fmt: skip
-    """A take of the same motion whose apparel moves otherwise.
-
-    Args:
-        take: The take.
-        apparel: How apparel moves.
-        handles: Those of the character.
-        in_place: Whether the travel was removed from its motion.
-        stages: Which stages fit the motion to the character, where that is done again.
-        report: Called with a stage's name and the share done.
+    """A take of the same motion whose apparel moves otherwise. The stages fit the motion to the character, with its
+    handles, where that is done again; `in_place` says that the travel was removed from it.
 
     Raises:
         CharacterError: There is no such apparel.
         OptionError: What moves its bones is not known as a motion of the body.
     """
     from bunraku.anatomy.anatomy import Anatomy
-    from bunraku.pipelines.apply import apply_motion, apply_simulated, reference_of
-    from bunraku.pipelines.requests import Constraints
+    from bunraku.core.motion import resample
+    from bunraku.pipelines.apply import apply_motion, apply_rigged, reference_of
+    from bunraku.pipelines.requests import RATE, Constraints
+    from bunraku.retarget.rig_parts import RigParts
 
     body = body_of(take)
     check_fits(apparel, body.character, len(body.motion) / body.fps)
@@ -204,11 +190,12 @@ def redress_take(
         raise OptionError(
             "the bones of this take were moved by its file; drop that file again with other hair and clothes"
         )
-    anatomy = Anatomy.of(body.character, handles)
-    motion: HandleMotion = reference_of(body)
+    motion, constraints = reference_of(body), Constraints.of(in_place=in_place)
     if apparel.motion == "simulate":
-        return apply_simulated(motion, body.character, in_place=in_place, stages=stages, progress=report)
-    return apply_motion(motion, anatomy, Constraints.of(in_place=in_place), stages, report)
+        motion = resample(motion, RATE)  # apparel swings faster than 20 frames a second can show
+        moved = apply_rigged(motion, RigParts.of(body.character), constraints, stages, report)
+        return dress_take(moved, apparel, report)
+    return apply_motion(motion, Anatomy.of(body.character, handles), constraints, stages, report)
 
 
 def apparel_mask_of(character: Character) -> np.ndarray:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, Literal
 
 from bunraku.core.request import (
     CANDIDATES,
@@ -15,19 +15,18 @@ from bunraku.core.request import (
     SECONDS,
     STEPS,
     STIFFNESS,
+    Length,
     Limit,
     from_json,
     to_json,
 )
+from bunraku.core.travel import LONGEST
 from bunraku.errors import OptionError
 from bunraku.files import UNIT_CHOICES, preset_named
 from bunraku.generation.library import clip as find_clip
+from bunraku.pipelines.apply import GENERATED_STAGES
 from bunraku.pipelines.requests import Apparel, Constraints, Keep, Pose, Request, Sampling
-
-if TYPE_CHECKING:
-    from bunraku.core.travel import GroundPath
-    from bunraku.retarget.fit import Stages
-    from bunraku.retarget.pins import Pin
+from bunraku.retarget.pins import Pin
 
 MOST_SEEDS = 8
 MOST_SEED = 2**53
@@ -39,62 +38,24 @@ Motion = Literal["rigid", "simulate", "chains", "learn"]
 """How apparel moves."""
 
 
-def stages_without(names: Sequence[str]) -> Stages | None:
-    """The stages of generated motions except those named, None where none is; OptionError for an unknown name."""
-    from bunraku.pipelines.apply import GENERATED_STAGES
-
-    stages = sorted(field.name for field in fields(GENERATED_STAGES))
-    for name in names:
-        if name not in stages:
-            raise OptionError(f"there is no stage '{name[:40]}'; there are {', '.join(stages)}")
-    return replace(GENERATED_STAGES, **dict.fromkeys(names, False)) if names else None
-
-
-def read_pins(forms: Sequence[object]) -> list[Pin]:
-    """Pins of their JSON forms; OptionError where one is not a pin."""
-    from bunraku.retarget.pins import Pin
-
-    pins = [Pin.from_json(form) for form in forms]
-    for pin in pins:
-        TIME.check(pin.time)
-        TIME.check(pin.hold, "hold")
-    return pins
-
-
-def read_path(points: Sequence[object]) -> GroundPath | None:
-    """Points of a path on the floor, x and z [m]; None for no points, OptionError for other values."""
-    from bunraku.core.travel import LONGEST, GroundPath
-
-    if not points:
-        return None
-    limit = Limit("x and z of a path", -LONGEST, LONGEST)
-    positions = []
-    for point in points:
-        if not isinstance(point, list) or len(point) != 2 or not all(type(number) in (int, float) for number in point):
-            raise OptionError("a path is a list of points, each with x and z")
-        for number in point:
-            limit.check(number)
-        positions.append((float(point[0]), float(point[1])))
-    return GroundPath(tuple(positions))
+Ground = Annotated[float, Limit("x and z of a path", -LONGEST, LONGEST)]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Drawn:
     """How takes are drawn: as `Sampling` and `Request` say it, with a seed for each take, the names of stages that are
-    left out, and the JSON forms of pins.
+    left out.
     """
 
-    seeds: tuple[float, ...] = (0,)
+    seeds: Annotated[tuple[float, ...], Length(MOST_SEEDS)] = (0,)
     steps: Annotated[int | None, STEPS] = None
     guidance: Annotated[float | None, GUIDANCE] = None
     candidates: Annotated[int, CANDIDATES] = 3
     force: bool = False
     without: tuple[str, ...] = ()
-    pins: tuple[object, ...] = ()
+    pins: tuple[Pin, ...] = ()
 
     def __post_init__(self) -> None:
-        if len(self.seeds) > MOST_SEEDS:
-            raise OptionError(f"seeds has more than {MOST_SEEDS} entries")
         if any(seed != int(seed) or not 0 <= seed < MOST_SEED for seed in self.seeds):
             raise OptionError("seeds are whole numbers from 0 on")
         object.__setattr__(self, "seeds", tuple(int(seed) for seed in self.seeds) or (0,))
@@ -117,39 +78,40 @@ class DressForm:
         """The same as a part of a request."""
         return Apparel(self.apparel, self.stiffness, self.gravity)
 
+    @property
+    def dress(self) -> dict[str, Any]:
+        """The same alone, as a JSON object."""
+        return {"apparel": self.apparel, "stiffness": self.stiffness, "gravity": self.gravity}
+
 
 MOST_PARTS = 20
-MOST_WORDS = 1000
+Words = Annotated[str, Length(1000)]
+Title = Annotated[str, Length(80)]
 
 
 @dataclass(frozen=True)
 class Part:
     """A sentence of a script with its length [s], or a clip of the library by its name, which is played as it is."""
 
-    text: str
+    text: Words
     seconds: float = 4.0
     clip: str = ""
 
     def __post_init__(self) -> None:
-        if len(self.text) > MOST_WORDS:
-            raise OptionError(f"text has more than {MOST_WORDS} characters, {len(self.text):,}; say it in fewer")
         SECONDS.check(self.seconds)
         if self.clip:
             find_clip(self.clip)
 
 
 def read_script(script: Sequence[Part]) -> tuple[Part, ...]:
-    """The sentences of a script one by one: a row such as "walks:4; jumps:2" is several.
-
-    Raises:
-        OptionError: A sentence is empty, or all together are too long.
+    """The sentences of a script one by one: a row such as "walks:4; jumps:2" is several. OptionError where a sentence
+    is empty, or all together are too long.
     """
     from bunraku.language.prompts import parse_sequence, timed_sequence
 
     if not script or not all(part.clip or part.text.strip(" ;\n\t") for part in script):
         raise OptionError("type what the character does, such as: walks forward, then waves")
-    if len(script) > MOST_PARTS:
-        raise OptionError(f"script has more than {MOST_PARTS} entries")
+    Length(MOST_PARTS).check(script, "script")
     timed: list[Part] = []
     for part in script:
         if part.clip:
@@ -157,8 +119,7 @@ def read_script(script: Sequence[Part]) -> tuple[Part, ...]:
             continue
         typed = parse_sequence(part.text.replace("\n", " ").strip())
         timed += [Part(text, seconds) for text, seconds in timed_sequence(typed, part.seconds)]
-    if len(timed) > MOST_PARTS:
-        raise OptionError(f"script has more than {MOST_PARTS} entries")
+    Length(MOST_PARTS).check(timed, "script")
     if sum(part.seconds for part in timed) > SECONDS.high:
         raise OptionError(f"all sentences together last at most {SECONDS.high:g} seconds; shorten some")
     return tuple(timed)
@@ -174,9 +135,6 @@ def script_json(script: Sequence[Part]) -> list[dict[str, object]]:
     return [
         {"text": part.text, "seconds": part.seconds, **({"clip": part.clip} if part.clip else {})} for part in script
     ]
-
-
-MOST_TITLE = 80
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -197,24 +155,18 @@ class TakeForm(Drawn, DressForm):
     draft: bool = True
     loop: bool = False
     in_place: bool = False
-    path: tuple[object, ...] | None = None
+    path: tuple[tuple[Ground, Ground], ...] | None = None
     after: str | None = None
     rig: Literal["handles", "own"] = "handles"
 
     def request(self, handles: Literal["predict", "rig"] = "predict") -> Request:
         """The request, checked; a take that is followed is only named. `handles` says how the character's were made.
-
-        Raises:
-            OptionError: It cannot be requested, or a sentence is not understood.
+        OptionError where it cannot be requested, or a sentence is not understood.
         """
         script = read_script(self.script)
         request = Request(
-            sequence_of(script), self.sampling(sum(part.seconds for part in script)),
-            Constraints.of(
-                loop=self.loop, in_place=self.in_place, after=self.after or None, path=read_path(self.path or ()),
-                pins=read_pins(self.pins),
-            ),
-            self.apparel_request, stages_without(self.without),
+            sequence_of(script), self.sampling(sum(part.seconds for part in script)), self.constraints(),
+            self.apparel_request, GENERATED_STAGES.without(self.without),
             "predict" if self.apparel == "simulate" else handles, self.force,
             self.rig if self.rig == "own" else "auto" if self.apparel in ("simulate", "learn") else "handles",
         )  # fmt: skip
@@ -239,11 +191,13 @@ class TakeForm(Drawn, DressForm):
         return pieces
 
     def constraints(self) -> Constraints:
-        """What a script with clips must meet; alone a clip that loops can be a loop."""
-        return Constraints.of(
-            loop=self.loop and len(self.script) == 1, in_place=self.in_place, path=read_path(self.path or ()),
-            pins=read_pins(self.pins),
-        )  # fmt: skip
+        """What takes must meet, checked; of scripts with clips only a single clip can be a loop."""
+        loop = self.loop and (len(self.script) == 1 or not any(part.clip for part in self.script))
+        constraints = Constraints.of(
+            loop=loop, in_place=self.in_place, after=self.after or None, path=self.path or None, pins=self.pins
+        )
+        constraints.check()
+        return constraints
 
     def asked(self) -> dict[str, Any]:
         """What a take's record keeps of it, for links."""
@@ -261,7 +215,7 @@ class CharacterForm:
         up, front, unit, handles: How its file is read; see `workspace.Settings`.
     """
 
-    name: str | None = None
+    name: Title | None = None
     deleted: bool | None = None
     up: Literal["auto", "+x", "-x", "+y", "-y", "+z", "-z"] | None = None
     front: Literal["auto", "+x", "-x", "+y", "-y", "+z", "-z"] | None = None
@@ -271,8 +225,6 @@ class CharacterForm:
     def __post_init__(self) -> None:
         if self.unit is not None and self.unit not in UNIT_CHOICES:
             raise OptionError(f"unit is one of {', '.join(UNIT_CHOICES)}")
-        if len(self.name or "") > MOST_TITLE:
-            raise OptionError(f"name has more than {MOST_TITLE} characters")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -300,20 +252,7 @@ class TakeRecordForm:
 
     star: bool | None = None
     deleted: bool | None = None
-    title: str | None = None
-
-    def __post_init__(self) -> None:
-        if len(self.title or "") > MOST_TITLE:
-            raise OptionError(f"title has more than {MOST_TITLE} characters")
-
-
-@dataclass(frozen=True)
-class PoseForm:
-    """A pose that stays; see `requests.Pose`."""
-
-    time: Annotated[float, TIME] = 0.0
-    take: str | None = None
-    at: Annotated[float | None, TIME] = None
+    title: Title | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -330,10 +269,10 @@ class ChangeForm(Drawn):
         trim: The first and the last second of what stays.
     """
 
-    prompt: str = ""
+    prompt: Words = ""
     keep: tuple[str, ...] = ()
     span: tuple[Annotated[float, TIME], ...] | None = None
-    poses: tuple[PoseForm, ...] = ()
+    poses: tuple[Pose, ...] = ()
     apparel: Motion | None = None
     stiffness: Annotated[float, STIFFNESS] = 1.0
     gravity: Annotated[float, GRAVITY] = 1.0
@@ -342,18 +281,14 @@ class ChangeForm(Drawn):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if len(self.prompt) > MOST_WORDS:
-            raise OptionError(f"prompt has more than {MOST_WORDS} characters, {len(self.prompt):,}; say it in fewer")
         if len(self.span or ()) not in (0, 2):
             raise OptionError("a span is two seconds, from and to")
         if self.trim and self.trim[0] >= self.trim[1]:
             raise OptionError("trim is from an earlier second to a later one")
 
     def request(self, apparel: Apparel) -> Request:
-        """The request of an edit, checked, with how the apparel of the take moves.
-
-        Raises:
-            OptionError: Nothing is kept, or the sentence is not understood.
+        """The request of an edit, checked, with how the apparel of the take moves; OptionError where nothing is kept,
+        or the sentence is not understood.
         """
         from bunraku.core.body.layout import kept_handles
 
@@ -363,17 +298,12 @@ class ChangeForm(Drawn):
             raise OptionError("nothing is kept: select a span of time, keep parts of the body, or pin poses")
         span = (self.span[0], self.span[1]) if self.span else None
         stays = [Keep(self.keep, span)] if self.keep or span else []
-        poses = [Pose(pose.time, pose.take, pose.at) for pose in self.poses]
         request = Request(
-            self.prompt.strip(), self.sampling(6.0), Constraints((*stays, *poses, *read_pins(self.pins))), apparel,
-            stages_without(self.without), force=self.force,
+            self.prompt.strip(), self.sampling(6.0), Constraints((*stays, *self.poses, *self.pins)), apparel,
+            GENERATED_STAGES.without(self.without), force=self.force,
         )  # fmt: skip
         request.check(clip=True)
         return request.with_parsed()
-
-    def bends(self) -> Constraints:
-        """Its pins, for a take that is bent to them."""
-        return Constraints(read_pins(self.pins))
 
     def asked(self, apparel: Apparel) -> dict[str, Any]:
         """What a take's record keeps of it."""
@@ -400,18 +330,12 @@ class LiveForm:
     """
 
     session: str = ""
-    sentence: str = ""
+    sentence: Words = ""
     direction: tuple[Annotated[float, TURNED], Annotated[float, TURNED]] | None = None
     look: _Place | None = None
     reach: _Place | None = None
     start: Annotated[int | None, Limit("start", 0, 2**53)] = None
     seconds: Annotated[float, Limit("seconds", 0.1, 4)] = 1.0
-
-    def __post_init__(self) -> None:
-        if len(self.sentence) > MOST_WORDS:
-            raise OptionError(
-                f"sentence has more than {MOST_WORDS} characters, {len(self.sentence):,}; say it in fewer"
-            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -426,11 +350,7 @@ class PlayedForm:
 
     session: str
     stop: Annotated[int | None, Limit("stop", 1, 2**53)] = None
-    text: str = "live"
-
-    def __post_init__(self) -> None:
-        if not self.text.strip() or len(self.text) > MOST_WORDS:
-            raise OptionError(f"text is what the take is called, in at most {MOST_WORDS} characters")
+    text: Annotated[str, Length(1000, 1)] = "live"
 
 
 MOST_CLIPS, MOST_BESIDE = 100, 9
@@ -470,9 +390,8 @@ def check_asked(how: object, script: object, asked: object) -> None:
     if how == "animate":
         form = from_json(TakeForm, {**kept, "script": script})
         read_script(form.script)
-        read_path(form.path or ())
-        read_pins(form.pins)
+        form.constraints()
     elif how == "edit":
-        read_pins(from_json(ChangeForm, kept).pins)
+        from_json(ChangeForm, kept)
     else:
         from_json(DressForm, {name: kept[name] for name in ("apparel", "stiffness", "gravity") if name in kept})

@@ -50,9 +50,6 @@ class Changes:
     def since(self, after: int) -> dict[str, Any]:
         """The latest change of each thing after a number, in order.
 
-        Args:
-            after: The `event` of an earlier answer.
-
         Returns:
             `event`, the number to ask with next time; `changes`, pairs of a kind and a record; and `missed`: all is to
             be asked for anew, since this run never gave that number or has forgotten what came after.
@@ -120,11 +117,8 @@ Finish = Callable[[Job, str, Mapping[str, object]], None]
 
 
 class Jobs:
-    """The queue and its process.
-
-    Args:
-        store: Where jobs that wait are written down.
-        finish: Takes in what the worker made.
+    """The queue and its process. Jobs that wait are written down in the store; `finish` takes in what the
+    worker made.
     """
 
     def __init__(self, store: Store, finish: Finish):
@@ -191,9 +185,6 @@ class Jobs:
 
         Args:
             kind: A task of `tasks.TASKS`.
-            title: What a user reads.
-            params: What the task takes.
-            about: Which things it is about.
             passing: It is not kept on disk and not offered again by the next run.
             first: It takes a moment, and goes before all that wait.
             later: It goes on in the background: it is begun when nothing was done for `QUIET`.

@@ -27,11 +27,8 @@ _LARGEST_ENTRY = 600
 
 @contextmanager
 def open_archive(path: Path, entries: int, size: int) -> Iterator[zipfile.ZipFile]:
-    """The archive of a file, with at most so many entries that unpack to at most `size` bytes.
-
-    Raises:
-        FormatError: It is broken, has a password, is packed in a rare way, or is too large; also where that is found
-            within the block.
+    """The archive of a file, with at most so many entries that unpack to at most `size` bytes; FormatError where it is
+    broken, has a password, is packed in a rare way, or is too large, also where that is found within the block.
     """
     try:
         _check_directory(path, entries)

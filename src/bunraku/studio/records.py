@@ -10,9 +10,10 @@ from typing import Annotated, Any, Literal
 
 from bunraku.core.body.corrections import Corrections
 from bunraku.core.request import FPS, GRAVITY, GUIDANCE, SECONDS, STEPS, STIFFNESS, WHOLE, Limit, from_json, read_json
-from bunraku.core.travel import LONGEST
 from bunraku.errors import OptionError
-from bunraku.studio.forms import MOST_PARTS, MOST_SEED, TIME, Motion, PoseForm, read_pins
+from bunraku.pipelines.requests import Pose
+from bunraku.retarget.pins import Pin
+from bunraku.studio.forms import MOST_PARTS, MOST_SEED, TIME, Ground, Motion
 from bunraku.studio.workspace import MAX_VERTICES, Settings
 
 Record = dict[str, Any]
@@ -218,7 +219,6 @@ def written(record: Record) -> bytes:
     return json.dumps(kept, ensure_ascii=False, allow_nan=False).encode()
 
 
-_Ground = Annotated[float, Limit("x and z of a path", -LONGEST, LONGEST)]
 _Time = Annotated[float, TIME]
 
 
@@ -233,32 +233,26 @@ class _Sentence:
 
 @dataclass(frozen=True, kw_only=True)
 class View:
-    """The state of a page; the names are the page's, and mean what they mean in `forms`.
+    """The state of a page; the names are the page's, and mean what they mean in `forms`."""
 
-    Args:
-        character, take: What is chosen.
-        script: The sentences of the timeline, of which number `sentence` is in the box.
-        seed: Of the first of `count` takes.
-        live: Whether springs of hair and clothes swing in the page.
-    """
-
-    character: str | None = None
+    character: str | None = None  # what is chosen, and `take`
     take: str | None = None
+    # The sentences of the timeline, of which number `sentence` is in the box.
     script: tuple[_Sentence, ...] = (_Sentence("walks", 4.0),)
     sentence: Annotated[int, Limit("sentence", 0, MOST_PARTS - 1)] = 0
-    seed: _Seed = 0
+    seed: _Seed = 0  # of the first of `count` takes
     count: Literal[1, 4] = 1
     loop: bool = False
     inPlace: bool = False
     apparel: Motion = "rigid"
     stiffness: Annotated[float, STIFFNESS] = 1.0
     gravity: Annotated[float, GRAVITY] = 1.0
-    live: bool = False
+    live: bool = False  # whether springs of hair and clothes swing in the page
     guidance: Annotated[float | None, GUIDANCE] = None
     steps: Annotated[int | None, STEPS] = None
-    pins: tuple[object, ...] = ()
-    poses: tuple[PoseForm, ...] = ()
-    path: tuple[tuple[_Ground, _Ground], ...] = ()
+    pins: tuple[Pin, ...] = ()
+    poses: tuple[Pose, ...] = ()
+    path: tuple[tuple[Ground, Ground], ...] = ()
     span: tuple[_Time, _Time] | None = None
     keep: tuple[str, ...] = ()
     rig: Literal["handles", "own"] = "handles"
@@ -266,7 +260,6 @@ class View:
     def __post_init__(self) -> None:
         if not 1 <= len(self.script) <= MOST_PARTS:
             raise OptionError(f"script has 1 to {MOST_PARTS} entries")
-        read_pins(self.pins)
 
 
 def checked_view(view: object) -> dict[str, Any]:

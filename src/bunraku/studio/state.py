@@ -21,11 +21,7 @@ KEPT_EXPORTS = 3
 
 
 class State:
-    """The studio's state.
-
-    Args:
-        store: What it keeps.
-    """
+    """The studio's state: its store, which it keeps, its queue, and what is told to pages."""
 
     def __init__(self, store: Store):
         self.store = store
@@ -82,6 +78,13 @@ class State:
             self.jobs.changes.tell("take", take)
         return takes
 
+    def make_takes(
+        self, kind: str, title: str, character: str, params: Mapping[str, object], seeds: list[int], **about: object
+    ) -> Any:
+        """Add takes of these seeds and queue the job that makes them; errors are those of `new_takes` and `make`."""
+        takes = self.new_takes(character, len(seeds), seeds=seeds, **about)
+        return self.make(kind, title, character, [take["id"] for take in takes], params)
+
     def make(self, kind: str, title: str, character: str, takes: list[str], params: Mapping[str, object]) -> Any:
         """Queue the job that makes takes; they vanish where it cannot be queued."""
         try:
@@ -131,10 +134,8 @@ class State:
         return record
 
     def new_export(self, file: str, title: str) -> dict[str, Any]:
-        """The record of a copy that is to be written; of those that were written before, the latest stay.
-
-        Raises:
-            FormatError: It cannot be written down.
+        """The record of a copy that is to be written, FormatError where it cannot be; of those that were written
+        before, the latest stay.
         """
         written = [record for record in self.store.all("exports") if record.get("state") == "done"]
         for old in written[: max(0, len(written) - KEPT_EXPORTS)]:
@@ -142,14 +143,8 @@ class State:
         return self.store.new("exports", {"file": file, "title": title, "state": "waiting"})
 
     def export(self, kind: str, file: str, title: str, params: Mapping[str, object], **about: object) -> dict[str, Any]:
-        """Queue the job that writes a copy. Errors are those of `Jobs.submit`.
-
-        Args:
-            kind: The task.
-            file: The name of the file.
-            title: The name that a user sees.
-            params: What the task takes besides the file.
-            **about: Which things the job is about.
+        """Queue the job of a kind that writes a copy, a file with a title that a user sees. `params` is what the task
+        takes besides the file, and `about` which things the job is about. Errors are those of `Jobs.submit`.
         """
         export = self.new_export(file, title)
         try:

@@ -80,7 +80,8 @@ class Store:
             owner = str(record.get("character"))
             if owner not in self._records["characters"] and not (self.folder / ASIDE / f"character-{owner}").is_dir():
                 self.drop("takes", name)  # its character was given up
-        self._tell_aside()
+        aside = self.folder / ASIDE
+        self.set_aside += [self._aside(entry) for entry in sorted(aside.glob("*")) if entry.is_dir()]
 
     def _probe(self) -> None:
         try:
@@ -134,12 +135,6 @@ class Store:
             target = folder
             self.set_aside.append(self._aside(folder))
         _log.warning("%s: %s; it is kept in %s", folder.name, wrong.partition(";")[0], target)
-
-    def _tell_aside(self) -> None:
-        aside = self.folder / ASIDE
-        for folder in sorted(aside.iterdir()) if aside.is_dir() else ():
-            if folder.is_dir():
-                self.set_aside.append(self._aside(folder))
 
     def _aside(self, folder: Path) -> str:
         """A sentence about a folder that is kept aside."""

@@ -29,7 +29,7 @@ from bunraku.pipelines.transfer import TRANSFER_STAGES, Source, transferred
 from bunraku.retarget.fit import Stages
 from bunraku.retarget.pins import meet_pins
 from bunraku.studio.dressing import check_fits, dress_take, redress_take
-from bunraku.studio.forms import DressForm, stages_without
+from bunraku.studio.forms import DressForm
 from bunraku.studio.wire import Take, body_of, packed_clip
 from bunraku.studio.workspace import PREVIEWS, Workspace
 
@@ -52,13 +52,8 @@ def handle_animation_of(take: Take) -> Animation:
 
 
 def finish_takes(takes: Mapping[str, Take], owner: str, workspace: Workspace, partly: Partly) -> dict[str, Any]:
-    """Write finished takes; the ids are given back.
-
-    Args:
-        takes: By their ids.
-        owner: The id of their character.
-        workspace: Where they are written.
-        partly: Called with what each record learns.
+    """Write finished takes of a character, by their ids, which are given back; `partly` is called with what each record
+    learns.
     """
     for name in takes:
         partly({"take": name, "state": "done", **workspace.keep(takes[name], name, owner)})
@@ -252,7 +247,7 @@ class Dress(Change):
     def changed(self, parent: Take, workspace: Workspace, report: Progress) -> Take:
         return redress_take(
             parent, self.apparel_request, workspace.character(self.character)[1], in_place=self.in_place,
-            stages=stages_without(self.without), report=report,
+            stages=GENERATED_STAGES.without(self.without), report=report,
         )  # fmt: skip
 
 

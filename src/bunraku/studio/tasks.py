@@ -6,7 +6,6 @@ import shutil
 import tempfile
 import zipfile
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -248,13 +247,11 @@ class ExportClips:
             take.points if isinstance(take, Dressed) else Animation(take.character, take.handles, take.motion)
             for take in takes
         ]
-        told = partial(_share, report)
-        save_beside(shown, target, size=VIDEOS[target.suffix], fps=self.fps, progress=told)
+        save_beside(
+            shown, target, size=VIDEOS[target.suffix], fps=self.fps,
+            progress=lambda done, total: report("draw", done / total),
+        )  # fmt: skip
         return {"export": self.export, "bytes": target.stat().st_size}
-
-
-def _share(report: Progress, done: int, total: int) -> None:
-    report("draw", done / total)
 
 
 def _named(
@@ -280,17 +277,8 @@ TASKS: dict[str, type[Task]] = {
 
 
 def run_task(workspace: Workspace, task: str, params: object, report: Progress, partly: Partly) -> dict[str, Any]:
-    """Run a task of `TASKS`.
-
-    Args:
-        workspace: What it works with.
-        task: Its name.
-        params: Its JSON form.
-        report: Called with a stage's name and the share done.
-        partly: Called with results that are ready before the end.
-
-    Raises:
-        OptionError: There is no such task, or it cannot be done.
+    """Run a task of `TASKS` with its JSON form, reporting a stage's name and the share done, and results that are ready
+    before the end (`partly`); OptionError where there is no such task, or it cannot be done.
     """
     if task not in TASKS:
         raise OptionError(f"there is no task '{task}'")

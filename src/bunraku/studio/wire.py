@@ -40,13 +40,9 @@ APPAREL = "apparel.npz"
 
 @dataclass(frozen=True, eq=False)
 class Dressed:
-    """A take whose apparel is learned, or swings on chains of bones.
-
-    Args:
-        body: What moves the body.
-        points: The same at the rate of apparel, with its displacements.
-        stiffness, gravity: The factors that it was made with.
-        bones: The same on a rig with chains, where apparel swings on them.
+    """A take whose apparel is learned, or swings on chains of bones: what moves the body, the same at the rate of
+    apparel, with its displacements, the factors that it was made with, and the same on a rig with chains, where apparel
+    swings on them.
     """
 
     body: Animation | RigAnimation
@@ -163,11 +159,8 @@ def _write_arrays(path: Path, pack: Callable[..., None], arrays: Mapping[str, An
 
 
 def load_take(path: Path, character: Character, handles: Handles) -> Take:
-    """A take of a character.
-
-    Raises:
-        FormatError: The file is broken, or was made for other handles.
-        MotionError: What it holds breaks the rules of a motion.
+    """A take of a character; FormatError where the file is broken, or was made for other handles, MotionError where
+    what it holds breaks the rules of a motion.
     """
     from bunraku.pipelines.apparel import RATE
 
@@ -245,11 +238,8 @@ def save_handles(handles: Handles, path: Path) -> None:
 
 
 def load_handles(path: Path) -> Handles:
-    """The handles of `save_handles`.
-
-    Raises:
-        FormatError: The file is broken.
-        CharacterError: What it holds breaks the rules of handles.
+    """The handles of `save_handles`; FormatError where the file is broken, CharacterError where what it holds breaks
+    the rules of handles.
     """
     data = read_bounded(path)
     with open_npz(path, data) as archive:

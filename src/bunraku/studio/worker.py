@@ -40,12 +40,8 @@ class Cancelled(Exception):
 
 
 def work(folder: str, pipe: Connection, bell: Connection) -> None:
-    """Run tasks until the other end of the pipe is gone.
-
-    Args:
-        folder: The studio's.
-        pipe: Brings (id, task, arguments) and takes (id, what, said).
-        bell: Brings the id of a task that is to stop.
+    """Run tasks until the other end of the pipe is gone. The pipe brings (id, task, arguments) and takes (id, what,
+    said); the bell brings the id of a task that is to stop.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server, which ends this one
     parent = os.getppid()

@@ -35,18 +35,15 @@ MAX_VERTICES = 1_000_000
 
 @dataclass(frozen=True)
 class Settings:
-    """How a file is taken.
+    """How a file is taken."""
 
-    Args:
-        up, front: Axes of the file, or "auto".
-        unit: Its unit, or "auto".
-        handles: "predict" them from the shape, or take those of the file's "rig".
-    """
+    up: str = "auto"  # axes of the file, or "auto"
+    front: str = "auto"  # axes of the file, or "auto"
+    unit: str = "auto"  # its unit, or "auto"
+    handles: Literal["predict", "rig"] = "predict"  # "predict" them from the shape, or take those of the file's "rig"
 
-    up: str = "auto"
-    front: str = "auto"
-    unit: str = "auto"
-    handles: Literal["predict", "rig"] = "predict"
+    def __post_init__(self) -> None:
+        Corrections(self.up, self.front)  # refuses axes that do not go together
 
 
 def opened_character(path: Path, settings: Settings) -> tuple[Character, dict[str, Any]]:
@@ -57,13 +54,6 @@ def opened_character(path: Path, settings: Settings) -> tuple[Character, dict[st
         CharacterError: It holds no usable mesh, or too many vertices.
         OptionError: The unit or the axes cannot be.
     """
-    from bunraku.core.geometry.axes import axis_name
-
-    for axis in (settings.up, settings.front):
-        if axis != "auto":
-            axis_name(axis)
-    if settings.up != "auto" and settings.front != "auto" and settings.up[1] == settings.front[1]:
-        raise OptionError("up and front lie along the same axis; choose two at a right angle")
     character = load_character(path, unit="m")
     if len(character.vertices) > MAX_VERTICES:
         raise CharacterError(
@@ -91,16 +81,8 @@ def _has_skeleton(character: Character) -> bool:
 
 
 def apparel_facts(character: Character, anatomy: Anatomy, worn: Path, painted: bool = False) -> dict[str, Any]:
-    """Facts of a character that take longer to find: its apparel, and where hands and feet are.
-
-    Args:
-        character: The character.
-        anatomy: Of it.
-        worn: The file that gets the mask of its apparel.
-        painted: Whether a user painted the mask, which is then kept.
-
-    Raises:
-        FormatError: That cannot be written.
+    """Facts of a character that take longer to find: its apparel, whose mask goes into the file `worn`, unless a user
+    painted it, and where hands and feet are.
     """
     from bunraku.apparel.parts import part_facts, parts_of
     from bunraku.retarget.pins import limb_ends
@@ -166,11 +148,7 @@ KEPT = 4
 
 
 class Workspace:
-    """The latest characters, and the files of all things.
-
-    Args:
-        folder: The studio's.
-    """
+    """The latest characters, and the files of all things in the studio's folder."""
 
     def __init__(self, folder: str):
         self.folder = Path(folder)

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import tyro
 
-from bunraku.cli.outputs import check_folder, check_input, check_output, check_range, check_source, stages
+from bunraku.cli.shared import check_folder, check_input, check_output, check_range, check_source, stages
 from bunraku.errors import FormatError, OptionError
 
 

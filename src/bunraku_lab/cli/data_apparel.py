@@ -11,7 +11,7 @@ from typing import Annotated
 import tyro
 
 from bunraku.cli.options import parse_jobs
-from bunraku.cli.outputs import check_folder, check_range, check_source, stages
+from bunraku.cli.shared import check_folder, check_range, check_source, stages
 from bunraku.errors import FormatError, OptionError
 
 

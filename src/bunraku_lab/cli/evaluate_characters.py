@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import tyro
 
 from bunraku.cli.options import parse_jobs
-from bunraku.cli.outputs import check_input, check_range, check_source, stages
+from bunraku.cli.shared import check_input, check_range, check_source, stages
 from bunraku.errors import FormatError, OptionError
 from bunraku_lab.cli.evaluate_motion import Printed
 from bunraku_lab.evaluation.report import Report, Table, bar_table

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from bunraku.cli.outputs import check_input, check_range, check_source, stages
+from bunraku.cli.shared import check_input, check_range, check_source, stages
 from bunraku.core.files import writing
 from bunraku.errors import OptionError
 from bunraku_lab.evaluation.report import Report, Table, bar_table

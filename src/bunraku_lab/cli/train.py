@@ -38,7 +38,7 @@ class Training:
             print("  ".join(f"{name} {value:.4g}" for name, value in row.items()), file=sys.stderr, flush=True)
 
         def run(config: Any) -> None:
-            from bunraku.cli.outputs import stages  # loads what draws bars
+            from bunraku.cli.shared import stages  # loads what draws bars
 
             with stages() as report:
                 path = train(config, report=print_row, progress=report)

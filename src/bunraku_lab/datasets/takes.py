@@ -18,8 +18,7 @@ from bunraku.core.parallel import Pool
 from bunraku.errors import BunrakuError, FormatError, MotionError
 from bunraku.files import HUMANML3D_FPS
 from bunraku.generation.pack import OWN
-from bunraku.retarget.to_reference import handle_motion_of_body
-from bunraku_lab.datasets.motions.build import split_of
+from bunraku_lab.datasets.motions.build import handle_motion_of_body, split_of
 from bunraku_lab.datasets.motions.clips import load_clip, load_index, write_clip, write_index
 
 FPS = 20.0
@@ -29,19 +28,14 @@ SHORTEST, LONGEST = 0.4, 60.0  # seconds of a clip: what training can take; long
 
 @dataclass(frozen=True)
 class Take:
-    """A clip to be made.
+    """A clip to be made of a motion's file, with captions.
 
     Args:
-        name: Its name in the index, plain and unique.
-        file: The motion that it is cut from.
-        texts: Captions.
         split: "train", "val" or "test".
         source: What the index says of where it is from.
-        start: When it begins in the file [s].
-        end: When it ends [s]; None for the end of the file.
+        start, end: When it begins and ends in the file [s]; None for the end of the file.
         clip: Number or name of the clip of a file with several.
-        licence: On which terms it may be learned from.
-        credit: The authors to name, or "".
+        licence, credit: On which terms it may be learned from, and the authors to name.
         watched: Its sentences were written for just these seconds of it.
     """
 
@@ -112,17 +106,11 @@ def _convert(take: Take, out: Path) -> tuple[str, int, str]:
 def add_takes(
     takes: list[Take], out: str | Path, jobs: int | None = None, progress: Callable[[str, float], None] | None = None
 ) -> tuple[list[str], dict[str, str]]:
-    """Convert takes to handle motion and add them to the index that `build_motions` wrote.
+    """Convert takes of `humanml3d_takes`, `amass_takes` or `own_takes` to handle motion, on as many processes as there
+    are cores by default, and add them to the index that `build_motions` wrote, or to a new one. The names of its clips
+    are given back, and what failed with its reason.
 
     Clips that are there are not made again, so a second run goes on where the first one stopped.
-
-    Args:
-        takes: Of `humanml3d_takes`, `amass_takes` or `own_takes`.
-        out: Folder of the motions; an index is begun where there is none.
-        jobs: Processes; the number of cores when None.
-
-    Returns:
-        Names of the clips that are in the index now, and what failed with its reason.
 
     Raises:
         FormatError: The index is damaged, or cannot be written.

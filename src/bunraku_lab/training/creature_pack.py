@@ -26,8 +26,9 @@ from bunraku.retarget.creature_clips import (
     shown_by,
     write_clips,
 )  # fmt: skip
-from bunraku.retarget.creatures import CreatureMotion, motion_of_rig
+from bunraku.retarget.creatures import CreatureMotion, motion_of_handles
 from bunraku.retarget.rig_parts import RigParts
+from bunraku.retarget.to_reference import bones_to_handles
 
 FEWEST, MOST = 6, 130  # frames of a clip; longer ones wait before they begin
 LEAP = 1.0  # a clip whose body is higher over the ground leaps away, as a frog that dies [m of the reference body]
@@ -106,7 +107,7 @@ def _clips(path: Path, animal: str, category: str, wanted: Callable[[str], bool]
             continue
         character, rotations, positions = facing(animation.character, *bones_of(animation))
         rig = rig or RigParts.of(character)
-        creature = motion_of_rig(rig, rotations, positions, FPS)
+        creature = motion_of_handles(bones_to_handles(rig, rotations, positions, FPS), rig.anatomy)
         if creature is None:
             return
         misread = category == "quadruped" and creature.plan.front != 2

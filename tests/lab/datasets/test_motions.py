@@ -17,12 +17,12 @@ from bunraku.core.geometry.rotations import heading, matrix_from_axis_angle, mat
 from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.core.skinning import skin
 from bunraku.errors import FormatError
-from bunraku.retarget.to_reference import handle_motion_of_body
 from bunraku_lab.datasets.motions.build import (
     MotionArchive,
     add_turns,
     build_motions,
     floor_height,
+    handle_motion_of_body,
     level_feet,
     posture_fault,
     rolled_limbs,

@@ -73,6 +73,12 @@ def running_most(values: np.ndarray, size: int) -> np.ndarray:
     return -running_least(-values, size)
 
 
+def softly_bounded(vectors: np.ndarray, most: float) -> np.ndarray:
+    """Vectors (N, D) in the same directions, none longer than `most`; those that are much shorter hardly change."""
+    far = np.linalg.norm(vectors, axis=1, keepdims=True) / most
+    return np.asarray(vectors * np.tanh(far) / np.maximum(far, 1e-9))
+
+
 def smooth_step(values: np.ndarray, low: float = 0.0, high: float = 1.0) -> np.ndarray:
     """0 up to `low`, 1 from `high` on, and a rise that is level at both ends; either may be the larger. Any shape."""
     share = np.clip((values - low) / (high - low), 0, 1)

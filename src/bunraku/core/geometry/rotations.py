@@ -187,6 +187,12 @@ def heading(root_rotation: np.ndarray, fps: float = 20.0) -> np.ndarray:
     return np.interp(frames, frames[sure], np.unwrap(np.arctan2(vector[sure, 1], vector[sure, 0])))
 
 
+def facing_and_tilt(rotations: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray]:
+    """Rotations (N, 3, 3) as the product of one about +Y, by the smooth `heading`, and the tilt that is left."""
+    facing = np.asarray(matrix_y(heading(rotations, fps)), np.float64)
+    return facing, facing.transpose(0, 2, 1) @ rotations
+
+
 @dataclass(frozen=True, eq=False)
 class Resampling:
     """The frames of a clip between which those of the result lie."""

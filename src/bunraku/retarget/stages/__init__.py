@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, fields, replace
+
+from bunraku.errors import OptionError
 
 __all__ = ["Stages"]
 
@@ -57,3 +60,14 @@ class Stages:
     lag: bool = True
     tail_clear: bool = True
     floor: bool = True
+
+    def without(self, names: Iterable[str], option: str = "without") -> Stages:
+        """The same but for some stages by name, in which dashes may stand for underscores; OptionError, about the
+        option, where there is none of a name.
+        """
+        there = {field.name.replace("_", "-"): field.name for field in fields(self)}
+        dashed = [name.replace("_", "-") for name in names]
+        for name in dashed:
+            if name not in there:
+                raise OptionError(f"{option} names no stage '{name[:40]}'; there are {', '.join(there)}")
+        return replace(self, **{there[name]: False for name in dashed})

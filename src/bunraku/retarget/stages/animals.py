@@ -5,7 +5,6 @@ heads stay above the ground.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 
@@ -17,10 +16,9 @@ from bunraku.core.character import Handles
 from bunraku.core.geometry.curves import gaussian, running_least, smooth_step
 from bunraku.core.geometry.rotations import (
     axis_angle_from_matrix,
-    heading,
+    facing_and_tilt,
     matrix_from_axis_angle,
     matrix_slerp,
-    matrix_y,
     nearest_rotation,
 )
 from bunraku.core.motion import HandleMotion
@@ -35,27 +33,25 @@ def _swings(motion: HandleMotion) -> np.ndarray:
     return np.asarray(left - right)
 
 
+def _alike_later(curve: np.ndarray, first: int, last: int) -> np.ndarray:
+    """Correlation of a curve (N,) with itself `first` to `last` frames later, shape (last + 1,); -1 before `first`."""
+    alike = np.full(last + 1, -1.0)
+    for lag in range(first, last + 1):
+        earlier, later = curve[:-lag], curve[lag:]
+        alike[lag] = (earlier @ later) / max(float(np.sqrt((earlier @ earlier) * (later @ later))), 1e-12)
+    return alike
+
+
 @dataclass(frozen=True)
-class Gait(Stage):
-    """Legs beyond those of a person step in turn.
+class Gait(Stage, name="gait"):
+    """Legs beyond those of a person step in turn."""
 
-    Args:
-        shortest: Shortest cycle of steps [s].
-        longest: Longest one [s].
-        alike: Correlation of a swing with itself a cycle later, from which on it is one.
-        slow: Cycles longer than this are those of a wave, in which one leg after the other lifts [s].
-        faint: Swing of left against right up to which a body takes no steps [rad].
-        plain: Swing from which on it does [rad].
-    """
-
-    name: ClassVar[str] = "gait"
-
-    shortest: float = 0.25
-    longest: float = 2.5
-    alike: float = 0.5
-    slow: float = 1.3
-    faint: float = 0.05
-    plain: float = 0.15
+    shortest: float = 0.25  # shortest cycle of steps [s]
+    longest: float = 2.5  # longest one [s]
+    alike: float = 0.5  # correlation of a swing with itself a cycle later, from which on it is one
+    slow: float = 1.3  # cycles longer than this are those of a wave, in which one leg after the other lifts [s]
+    faint: float = 0.05  # swing of left against right up to which a body takes no steps [rad]
+    plain: float = 0.15  # swing from which on it does [rad]
 
     def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
         return anatomy.has_extra_legs
@@ -70,26 +66,18 @@ class Gait(Stage):
         first, last = round(self.shortest * motion.fps), min(round(self.longest * motion.fps), (2 * len(swings)) // 3)
         if last <= first + 1 or float(np.abs(swings).max()) < self.faint:
             return 0.0
-        alike = np.full(last + 1, -1.0)
-        for lag in range(first, last + 1):
-            earlier, other = swings[:-lag], swings[lag:]
-            alike[lag] = (earlier @ other) / max(float(np.sqrt((earlier @ earlier) * (other @ other))), 1e-12)
+        alike = _alike_later(swings, first, last)
         inside = np.arange(first + 1, last)
         peaks = inside[(alike[inside] >= alike[inside - 1]) & (alike[inside] >= alike[inside + 1])]
         peaks = peaks[alike[peaks] > self.alike]
         return float(peaks[0] / motion.fps) if len(peaks) else 0.0
 
     def phases(self, handles: Handles, further: list[list[int]], cycle: float) -> dict[int, float]:
-        """How far each handle of a further leg is behind the leg whose part it plays, in cycles.
+        """How far each handle of a further leg is behind the leg whose part it plays, in cycles of `cycle` seconds.
 
         Legs of a side take turns from the hindmost forwards: each half a cycle after the one behind it, so that six
         legs stand on tripods and eight on two fours; in slow cycles they share the cycle evenly, as in a wave. Legs of
         both sides are as far behind as those whose parts they play, which take turns themselves.
-
-        Args:
-            handles: With `roles`.
-            further: The handles of each further limb.
-            cycle: Length of the cycle [s].
         """
         out: dict[int, float] = {}
         played = handles.played
@@ -108,13 +96,8 @@ class Gait(Stage):
         return out
 
     def stepping(self, motion: HandleMotion, handles: Handles, further: list[list[int]]) -> np.ndarray:
-        """Rotations of a character's handles from those of the parts that they play, shape (N, K, 3, 3): further legs
-        step in turn.
-
-        Args:
-            motion: Of the reference body.
-            handles: The character's.
-            further: The handles of each further limb.
+        """Rotations of a character's handles from those of the parts of the reference body that they play, shape (N, K,
+        3, 3): the limbs of `further`, each a list of handles, step in turn.
         """
         rotations = motion.rotations[:, handles.played].astype(np.float64)
         cycle = self.cycle(motion) if further else 0.0
@@ -127,8 +110,10 @@ class Gait(Stage):
             if shift:
                 at = frames - shift
                 at = np.where(at < 0, at + cycle * motion.fps, at)  # the first round steps as the next one does
-                late = _at(rotations[:, handle], np.clip(at, 0, count - 1))
-                rotations[:, handle] = matrix_slerp(rotations[:, handle], late, amount)
+                at, turns = np.clip(at, 0, count - 1), rotations[:, handle]
+                low = np.floor(at).astype(int)
+                late = matrix_slerp(turns[low], turns[np.minimum(low + 1, count - 1)], at - low)
+                rotations[:, handle] = matrix_slerp(turns, late, amount)
         return rotations
 
     def _amount(self, swings: np.ndarray, cycle: float) -> np.ndarray:
@@ -141,18 +126,8 @@ class Gait(Stage):
         return np.asarray(smooth_step(np.ptp(windows, axis=1), self.faint, self.plain))
 
 
-def _at(rotations: np.ndarray, times: np.ndarray) -> np.ndarray:
-    low = np.floor(times).astype(int)
-    high = np.minimum(low + 1, len(rotations) - 1)
-    return matrix_slerp(rotations[low], rotations[high], times - low)
-
-
 def pairs_of(legs: list[Leg]) -> list[tuple[Leg, Leg]]:
-    """Legs of the left and of the right side that meet the body side by side, the foremost first.
-
-    Args:
-        legs: Of a body that faces +z.
-    """
+    """Legs of the left and of the right side of a body that faces +Z that meet it side by side, the foremost first."""
     left, found = sorted((leg for leg in legs if leg.joints[0][0] > 0), key=lambda leg: -leg.joints[0][2]), []
     right = [leg for leg in legs if leg.joints[0][0] <= 0]
     for one in left:
@@ -164,34 +139,19 @@ def pairs_of(legs: list[Leg]) -> list[tuple[Leg, Leg]]:
 
 
 @dataclass(frozen=True)
-class Swings(Stage):
-    """Left and right legs of a body on four legs swing alike.
+class Swings(Stage, name="swings"):
+    """Left and right legs of a body on four legs swing alike."""
 
-    Args:
-        shortest: Shortest cycle of steps [s].
-        longest: Longest one [s].
-        alike: Correlation of a leg's angle with itself a cycle later, from which on it goes to and fro.
-        turns: Correlation of both legs, negative, from which on they take turns, whatever their pace.
-        crossings: How often one then passes the other at the least: once is a step, and no walk.
-        least: Angle through which both legs swing at the least [rad].
-        unlike: Factor between both beyond which they do different things, as in a blow with a paw.
-        percent: Share of the frames beyond the swing's ends, on each side.
-        most: Factor by which a swing is made larger or smaller at the most.
-        rounds: The factors are found in turns, since a leg's angle is no linear function of its parts'.
-    """
-
-    name: ClassVar[str] = "swings"
-
-    shortest: float = 0.25
-    longest: float = 2.5
-    alike: float = 0.4
-    turns: float = 0.5
-    crossings: int = 4
-    least: float = 0.1
-    unlike: float = 3.0
-    percent: float = 5.0
-    most: float = 1.8
-    rounds: int = 4
+    shortest: float = 0.25  # shortest cycle of steps [s]
+    longest: float = 2.5  # longest one [s]
+    alike: float = 0.4  # correlation of a leg's angle with itself a cycle later, from which on it goes to and fro
+    turns: float = 0.5  # correlation of both legs, negative, from which on they take turns, whatever their pace
+    crossings: int = 4  # how often one then passes the other at the least: once is a step, and no walk
+    least: float = 0.1  # angle through which both legs swing at the least [rad]
+    unlike: float = 3.0  # factor between both beyond which they do different things, as in a blow with a paw
+    percent: float = 5.0  # share of the frames beyond the swing's ends, on each side
+    most: float = 1.8  # factor by which a swing is made larger or smaller at the most
+    rounds: int = 4  # the factors are found in turns, since a leg's angle is no linear function of its parts'
 
     def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
         return fitting.source.own_kind and bool(anatomy.plan.front) and not anatomy.has_extra_legs
@@ -199,7 +159,7 @@ class Swings(Stage):
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
         rotations, fps = fitting.rotations.copy(), fitting.source.fps
         # a trunk that rocks with the steps adds to the swing of one leg what it takes from the other's
-        rocks = matrix_y(-heading(fitting.root_rotation, fps)) @ fitting.root_rotation
+        _, rocks = facing_and_tilt(fitting.root_rotation, fps)
         for pair in pairs_of(anatomy.legs):
             self._paired(rotations, pair, anatomy, rocks, fps)
         return replace(fitting, rotations=rotations)
@@ -262,12 +222,8 @@ class Swings(Stage):
         first, last = round(self.shortest * fps), min(round(self.longest * fps), (2 * count) // 3)
         if last <= first + 1:
             return False
-        alike = np.full((2, last + 1), -1.0)
-        for row, shifts in enumerate(away):
-            for lag in range(first, last + 1):
-                earlier, other = shifts[:-lag], shifts[lag:]
-                alike[row, lag] = (earlier @ other) / max(float(np.sqrt((earlier @ earlier) * (other @ other))), 1e-12)
-        return bool(alike.min(axis=0).max() > self.alike)
+        both = np.minimum(*(_alike_later(angle, first, last) for angle in away))
+        return bool(both.max() > self.alike)
 
 
 def _handles(leg: Leg) -> list[int]:
@@ -286,28 +242,17 @@ def _ends(handles: Handles, legs: list[Leg]) -> tuple[list[int], list[int]]:
 
 
 @dataclass(frozen=True)
-class Support(Stage):
-    """Legs stay under the trunk of a body on four legs.
+class Support(Stage, name="support"):
+    """Legs stay under the trunk of a body on four legs."""
 
-    Args:
-        lifted: A leg whose foot is higher, over its length, carries nothing.
-        long: Legs that are lifted for longer leave the trunk without support [s].
-        reared: An end of the trunk that is so much higher than at rest is meant to be up [rad].
-        soft: How softly legs are put down [s].
-    """
-
-    name: ClassVar[str] = "support"
-
-    lifted: float = 0.1
-    long: float = 0.6
+    lifted: float = 0.1  # a leg whose foot is higher, over its length, carries nothing
+    long: float = 0.6  # legs that are lifted for longer leave the trunk without support [s]
+    # An end of the trunk that is so much higher than at rest is meant to be up [rad].
     reared: float = float(np.radians(20))
-    soft: float = 0.12
+    soft: float = 0.12  # how softly legs are put down [s]
 
     def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
         return len(anatomy.legs) == 4
-
-    def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
-        return fitting.moved(self.kept(fitting.motion, anatomy))
 
     def unsupported(self, motion: HandleMotion, anatomy: Anatomy) -> np.ndarray:
         """In which frames the rear and the front of a trunk have nothing under them, though the other end stands, shape
@@ -331,7 +276,7 @@ class Support(Stage):
             out[:, side] = self._lasting(high[side] & ~high[1 - side] & (rises < self.reared), motion.fps)
         return out
 
-    def kept(self, motion: HandleMotion, anatomy: Anatomy) -> HandleMotion:
+    def changed(self, motion: HandleMotion, anatomy: Anatomy) -> HandleMotion:
         """The motion with legs put down below the end of the trunk that has nothing under it; unchanged where the body
         does not stand on four.
         """
@@ -340,7 +285,7 @@ class Support(Stage):
         if not wanting.any():
             return motion
         world = motion.transforms(handles.positions).astype(np.float64)
-        ahead = np.asarray(matrix_y(heading(motion.root_rotation, motion.fps)), np.float64)
+        ahead, _ = facing_and_tilt(motion.root_rotation, motion.fps)
         shifts = np.zeros((len(motion), len(legs), 3))
         slopes = np.tile(np.eye(3), (len(motion), len(legs), 1, 1))
         for end, numbers in enumerate(_ends(handles, legs)):
@@ -380,21 +325,12 @@ _TRUNK = [HANDLE_NAMES.index(name) for name in ("spine1", "spine2", "spine3", "n
 
 
 @dataclass(frozen=True)
-class Front(Stage):
-    """Heads of bodies that lie along their spine are kept above the ground.
+class Front(Stage, name="front", needs=("ground",)):
+    """Heads of bodies that lie along their spine are kept above the ground."""
 
-    Args:
-        sink: A head may be so far under the ground, over the height.
-        steps: Shares of the bending that are tried, before none.
-        soft: How softly bending is taken out [s].
-    """
-
-    name: ClassVar[str] = "front"
-    needs: ClassVar[tuple[str, ...]] = ("ground",)
-
-    sink: float = 0.01
-    steps: tuple[float, ...] = (0.75, 0.5, 0.25)
-    soft: float = 0.15
+    sink: float = 0.01  # a head may be so far under the ground, over the height
+    steps: tuple[float, ...] = (0.75, 0.5, 0.25)  # shares of the bending that are tried, before none
+    soft: float = 0.15  # how softly bending is taken out [s]
 
     def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
         return fitting.source.own_kind and bool(anatomy.legs) and not anatomy.upright
@@ -407,13 +343,9 @@ class Front(Stage):
         )  # fmt: skip
 
     def raised(self, motion: HandleMotion, rotations: np.ndarray, anatomy: Anatomy) -> tuple[HandleMotion, np.ndarray]:
-        """A motion with less tilt of the root, and local rotations with less bending of the trunk, in frames in which
-        the head of a body that stands as high as at rest would sink into the ground.
-
-        Args:
-            motion: Whose root's rotation counts.
-            rotations: Of the character's handles, in the root's frame, shape (N, K, 3, 3).
-            anatomy: Of the character.
+        """A motion with less tilt of the root, and local rotations of the character's handles (N, K, 3, 3), in the
+        root's frame, with less bending of the trunk, in frames in which the head of a body that stands as high as at
+        rest would sink into the ground.
         """
         held = anatomy.front
         if not len(held):
@@ -421,7 +353,8 @@ class Front(Stage):
         character = anatomy.mesh
         floor = float(character.vertices[character.surface, 1].min()) - self.sink * character.height
         reach = anatomy.reach_of(held)
-        tilt, facing = _tilt(motion)
+        facing, turned = facing_and_tilt(motion.root_rotation, motion.fps)
+        tilt = axis_angle_from_matrix(turned)
         bends = np.asarray(axis_angle_from_matrix(rotations[:, _TRUNK].astype(np.float64)))
 
         def bent(share: np.ndarray) -> tuple[HandleMotion, np.ndarray]:
@@ -444,9 +377,3 @@ class Front(Stage):
             share = np.where(low & clear, np.maximum(share, step), share)
         share = running_least(share, 2 * max(round(2 * self.soft * motion.fps), 1) + 1)
         return bent(gaussian(share, self.soft * motion.fps))
-
-
-def _tilt(motion: HandleMotion) -> tuple[np.ndarray, np.ndarray]:
-    """The tilt of the root as axis times angle (N, 3), and its turn about +Y (N, 3, 3)."""
-    facing = np.asarray(matrix_y(heading(motion.root_rotation, motion.fps)), np.float64)
-    return np.asarray(axis_angle_from_matrix(facing.transpose(0, 2, 1) @ motion.root_rotation)), facing

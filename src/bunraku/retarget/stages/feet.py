@@ -3,25 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy, reference_anatomy
-from bunraku.core.geometry.curves import gaussian, smooth_step, solve_banded
+from bunraku.core.geometry.curves import gaussian, smooth_step, softly_bounded, solve_banded
 from bunraku.core.geometry.rotations import heading, matrix_y
 from bunraku.core.motion import HandleMotion
 from bunraku.retarget.stages.stage import Contacts, Fitting, Stage, sole_points, with_feet_moved
 
 
 def foot_motion(points: np.ndarray, floor: float, soft: float) -> tuple[np.ndarray, np.ndarray]:
-    """Steps (N - 1, 2) and heights (N - 1,) of a sole whose points are known (N, m, 3): of its lowest part, so rolling
-    is no step.
-
-    Args:
-        points: Where they are [m].
-        floor: Height of the ground [m].
-        soft: How much higher than the lowest a point must be to count little [m].
+    """Steps (N - 1, 2) and heights over the floor (N - 1,) of a sole whose points are known (N, m, 3): of its lowest
+    part, so rolling is no step [m]. Points that are `soft` higher than the lowest count little.
     """
     height = 0.5 * (points[1:, :, 1] + points[:-1, :, 1])
     lowest = height.min(axis=1)
@@ -36,57 +30,37 @@ FIXED = 1e6
 
 
 @dataclass(frozen=True)
-class Feet(Stage):
+class Feet(Stage, name="feet"):
     """Standing feet do not slide.
 
     The root's path and then the legs make up for what they would slide.
-
-    Args:
-        low: Height of a foot that comes to stand, over the leg's length.
-        high: Height of one that no longer does.
-        slow: Speed along the ground of a foot that comes to stand, in leg lengths a second.
-        fast: Speed of one that no longer does.
-        roll: Points of a sole so much higher than its lowest, over the leg's length, count half for where it is.
-        parts: Two feet near the ground whose distance changes so slowly may both stand, and where it changes so fast
-            they do not, in leg lengths a second. Where one of them makes nearly all of the change, the other stands.
-        makes: Shares of the change that the slower one makes, between which it no longer stands; in a jump that spreads
-            the legs each foot makes half of it.
-        short: Shorter contacts are none, and shorter gaps between them are closed [pairs of frames].
-        apart: A foot that is so much faster than the slowest that stands counts half for the path.
-        hurry: Likewise one that is so fast itself, in leg lengths a second.
-        rounds: The path's correction and the contacts, which need one another, are found in turns; contacts from the
-            middle on.
-        sits: A body with a hip lower than this share of the leg from there on does not stand on it.
-        kneels: Likewise with a knee.
-        most: How far a foot is moved at the most, over the leg's length; what slides farther means to.
-        free: Weight of the size of the path's correction, over a foot's slide.
-        root_smooth: Weight of its change from step to step.
-        hold: Weight of a standing foot's slide, over the acceleration of its offset.
-        pull: Weight of the offset's size while the foot does not stand.
-        stride: How long what the path is off must last to be a drift, about a step [s].
     """
 
-    name: ClassVar[str] = "feet"
-
-    low: float = 0.05
-    high: float = 0.08
-    slow: float = 0.5
-    fast: float = 1.0
+    low: float = 0.05  # height of a foot that comes to stand, over the leg's length
+    high: float = 0.08  # height of one that no longer does
+    slow: float = 0.5  # speed along the ground of a foot that comes to stand, in leg lengths a second
+    fast: float = 1.0  # speed of one that no longer does
+    # Points of a sole so much higher than its lowest, over the leg's length, count half for where it is.
     roll: float = 0.012
+    # Two feet near the ground whose distance changes so slowly may both stand, and where it changes so fast they do
+    # not, in leg lengths a second. Where one of them makes nearly all of the change, the other stands.
     parts: tuple[float, float] = (0.15, 0.5)
+    # Shares of the change that the slower one makes, between which it no longer stands; in a jump that spreads the legs
+    # each foot makes half of it.
     makes: tuple[float, float] = (0.25, 0.4)
-    short: int = 3
-    apart: float = 0.25
-    hurry: float = 2.0
+    short: int = 3  # shorter contacts are none, and shorter gaps between them are closed [pairs of frames]
+    apart: float = 0.25  # a foot that is so much faster than the slowest that stands counts half for the path
+    hurry: float = 2.0  # likewise one that is so fast itself, in leg lengths a second
+    # The path's correction and the contacts, which need one another, are found in turns; contacts from the middle on.
     rounds: int = 6
-    sits: float = 0.25
-    kneels: float = 0.35
-    most: float = 0.15
-    free: float = 0.05
-    root_smooth: float = 2.0
-    hold: float = 100.0
-    pull: float = 0.05
-    stride: float = 0.5
+    sits: float = 0.25  # a body with a hip lower than this share of the leg from there on does not stand on it
+    kneels: float = 0.35  # likewise with a knee
+    most: float = 0.15  # how far a foot is moved at the most, over the leg's length; what slides farther means to
+    free: float = 0.05  # weight of the size of the path's correction, over a foot's slide
+    root_smooth: float = 2.0  # weight of its change from step to step
+    hold: float = 100.0  # weight of a standing foot's slide, over the acceleration of its offset
+    pull: float = 0.05  # weight of the offset's size while the foot does not stand
+    stride: float = 0.5  # how long what the path is off must last to be a drift, about a step [s]
 
     def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
         return bool(anatomy.legs) and len(fitting.source) > 2
@@ -96,19 +70,12 @@ class Feet(Stage):
         return replace(fitting.moved(motion), contacts=contacts)
 
     def contacts(self, motion: HandleMotion, anatomy: Anatomy, held: int = 0) -> tuple[Contacts, np.ndarray]:
-        """The contacts of a motion, and the root's steps that are missing for standing feet to stay where they are in
-        the mean.
+        """The contacts of a motion of a character with L legs, whose steps are still without the correction, and the
+        root's steps that are missing for standing feet to stay where they are in the mean, along x and z [m], shape (N
+        - 1, 2).
 
-        A foot whose knee or hip is near the ground, as in crawling, kneeling and sitting, has no contacts.
-
-        Args:
-            motion: Of the character.
-            anatomy: Of the character, with L legs.
-            held: So many frames at the beginning stay as they are.
-
-        Returns:
-            Contacts with steps that are still without the correction, and the correction along x and z of each step
-            [m], shape (N - 1, 2).
+        A foot whose knee or hip is near the ground, as in crawling, kneeling and sitting, has no contacts. `held`
+        frames at the beginning stay as they are.
         """
         legs, floor = anatomy.legs, anatomy.floor
         world = motion.transforms(anatomy.handles.positions)
@@ -146,7 +113,7 @@ class Feet(Stage):
             beside = np.linalg.norm(step - slowest, axis=-1) * unit
             count_for_path = trust / (1 + (beside / self.apart) ** 4) / (1 + (speed / self.hurry) ** 2)
             missing = self._root_steps(step, count_for_path, held)
-        return Contacts(step, height, trust), missing
+        return Contacts(step, trust), missing
 
     def _parting(self, step: np.ndarray, speed: np.ndarray, near: np.ndarray, unit: np.ndarray) -> np.ndarray:
         """How far each foot is known not to stand because its distance from another one near the ground changes, shape
@@ -215,12 +182,8 @@ class Feet(Stage):
         return solve_banded(band, right)
 
     def continued(self, motion: HandleMotion, before: HandleMotion, anatomy: Anatomy) -> HandleMotion:
-        """A motion that begins in the last frame of another one, with the feet that stand there where they stood.
-
-        Args:
-            motion: Of the character, fitted without what was before.
-            before: Of the character, to its last frame.
-            anatomy: Of the character.
+        """A motion, fitted without what was before, that begins in the last frame of another one, with the feet that
+        stand there where they stood.
         """
         last, whole = before.take(slice(-1, None)), HandleMotion.joined([before, motion.take(slice(1, None))])
         locked, _ = self.locked(whole, anatomy, held=len(before))
@@ -261,8 +224,7 @@ class Feet(Stage):
         shifts = np.zeros((len(motion), len(legs), 3))
         for number, leg in enumerate(legs):
             offsets = self._offsets(contacts.steps[:, number] + missing, contacts.stands[:, number], held)
-            away = np.linalg.norm(offsets, axis=1, keepdims=True) / (self.most * leg.length)
-            shifts[:, number][:, [0, 2]] = offsets * np.tanh(away) / np.maximum(away, 1e-9)
+            shifts[:, number][:, [0, 2]] = softly_bounded(offsets, self.most * leg.length)
         return with_feet_moved(motion, anatomy, legs, shifts), contacts
 
 
@@ -294,11 +256,7 @@ TRAVELS = 0.5
 
 
 def is_treadmill(motion: HandleMotion) -> bool:
-    """Whether the reference body's feet slide under it in a motion that goes nowhere.
-
-    Args:
-        motion: Of the reference body, N frames.
-    """
+    """Whether the reference body's feet slide under it in a motion that goes nowhere."""
     if len(motion) < 8:
         return False
     missing = Feet().contacts(motion, reference_anatomy())[1]

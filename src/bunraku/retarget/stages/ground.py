@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy, reference_anatomy
 from bunraku.anatomy.legs import Leg, carry
 from bunraku.core.body.layout import HANDLE_NAMES
-from bunraku.core.character import Character
 from bunraku.core.geometry.curves import (
     correlated,
     gaussian,
@@ -20,35 +18,28 @@ from bunraku.core.geometry.curves import (
     smooth_step,
     solve_banded,
 )
-from bunraku.core.geometry.rotations import axis_angle_from_matrix, heading, matrix_from_axis_angle, matrix_y
+from bunraku.core.geometry.rotations import axis_angle_from_matrix, facing_and_tilt, matrix_from_axis_angle
 from bunraku.core.motion import HandleMotion
 from bunraku.retarget.stages.feet import add_bending
-from bunraku.retarget.stages.stage import Contacts, Fitting, Stage, sole_points, with_feet_moved
+from bunraku.retarget.stages.stage import Contacts, Fitting, Stage, near_wrist, sole_points, with_feet_moved
 
 _WINGS = [HANDLE_NAMES.index(f"{side}_wing") for side in ("left", "right")]
 
 
 @dataclass(frozen=True)
-class Ground(Stage):
+class Ground(Stage, name="ground"):
     """The lowest point is as high above the ground as the reference body's.
 
     That of what the character stands on, in its own scale. A reference body that drifts off the ground for longer than
     a jump lasts is set back on it. A motion that brings its own height keeps it where the body has wings or no legs or
     is upright, but what hovers by less than `flies` of the body's height is set down.
-
-    Args:
-        flies: Heights over the ground, as shares of the body's, between which what hovers becomes what flies.
-        jump: Half of the longest time that a body stays in the air [s].
-        soft: How softly the ground of a hovering body is found [s].
-        held: How far below feet, seat and back the hands of a body are that stands on them [m].
     """
 
-    name: ClassVar[str] = "ground"
-
+    # Heights over the ground, as shares of the body's, between which what hovers becomes what flies.
     flies: tuple[float, float] = (0.12, 0.2)
-    jump: float = 0.75
-    soft: float = 0.25
-    held: float = 0.25
+    jump: float = 0.75  # half of the longest time that a body stays in the air [s]
+    soft: float = 0.25  # how softly the ground of a hovering body is found [s]
+    held: float = 0.25  # how far below feet, seat and back the hands of a body are that stands on them [m]
 
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
         motion = fitting.motion
@@ -61,15 +52,9 @@ class Ground(Stage):
     def followed(
         self, motion: HandleMotion, fitted: HandleMotion, anatomy: Anatomy, heights: np.ndarray | None = None
     ) -> HandleMotion:
-        """The fitted motion with its lowest point as high over the floor, that of its rest pose, as the reference
-        body's is over y = 0. The reference body's own drift off the ground is taken out first.
-
-        Args:
-            motion: Of the reference body.
-            fitted: Of the character.
-            anatomy: Of the character.
-            heights: Of the lowest point of another body than the reference body, in the reference body's scale [m],
-                shape (N,).
+        """The fitted motion with its lowest point as high over the floor, that of its rest pose, as that of the
+        reference body's motion is over y = 0. The reference body's own drift off the ground is taken out first.
+        `heights` (N,) are those of the lowest point of another body than the reference body, in its scale [m].
         """
         body, world = reference_anatomy(), fitted.transforms(anatomy.handles.positions)
         have = anatomy.reach.lowest(world)
@@ -91,13 +76,9 @@ class Ground(Stage):
     def _ground_of(self, stands: np.ndarray, whole: np.ndarray, fps: float) -> np.ndarray:
         """Height of the lowest point of the reference body [m], shape (N,), but for hands that have sunk in.
 
-        The ground is where feet, seat or back are, which come down to it again and again. Hands below it have sunk in,
-        and must not lift the feet. Hands carry the body where they are far below all else for longer than a jump lasts.
-
-        Args:
-            stands: Height of the lowest point of what it may stand on, which its arms are not [m], shape (N,).
-            whole: Height of the lowest point of all of it [m], shape (N,).
-            fps: Frames a second [1/s].
+        The ground is where feet, seat or back are, which come down to it again and again: `stands` (N,) is the height
+        of the lowest point of all but the arms, `whole` (N,) that of all. Hands below it have sunk in, and must not
+        lift the feet. Hands carry the body where they are far below all else for longer than a jump lasts.
         """
         carried = running_least(stands - whole, self._window(fps)) > self.held
         ground = np.where(carried, whole, self._local_ground(stands, fps))
@@ -114,12 +95,8 @@ class Ground(Stage):
 
     def grounded(self, fitted: HandleMotion, anatomy: Anatomy, flies: bool = True) -> HandleMotion:
         """A motion that was generated for this very body, set down where it hovers: generators are a few centimetres
-        off. Jumps keep their height (`hovering`).
-
-        Args:
-            fitted: Motion of the character.
-            anatomy: Of the character.
-            flies: Whether the body can be off the ground for long: with wings, without legs, or where it climbs.
+        off. Jumps keep their height (`hovering`). A body `flies` that can be off the ground for long: with wings,
+        without legs, or where it climbs.
         """
         hovers = self.hovering(fitted, anatomy)
         if flies:
@@ -132,12 +109,8 @@ class Ground(Stage):
         """How far a body is off the ground in each frame but for its jumps [m], shape (N,).
 
         No jump lasts two seconds, so the lowest height within `jump` of a frame is where the ground is; it goes up and
-        down softly. A body that walks or runs is in the air for a shorter time, and on the ground otherwise.
-
-        Args:
-            fitted: Motion of the character.
-            anatomy: Of the character.
-            air: Half of the longest time that the body is in the air [s]; None for `jump`.
+        down softly. A body that walks or runs is in the air for a shorter time, half of which is at most `air` [s], and
+        on the ground otherwise.
         """
         have = anatomy.reach.lowest(fitted.transforms(anatomy.handles.positions)) - anatomy.floor
         if air is None:
@@ -167,34 +140,20 @@ def _lifted(motion: HandleMotion, lift: np.ndarray) -> HandleMotion:
 
 
 @dataclass(frozen=True)
-class Floor(Stage):
-    """Nothing sinks into the ground, and feet that stand, and legs of a body that lies, are on it.
+class Floor(Stage, name="floor"):
+    """Nothing sinks into the ground, and feet that stand, and legs of a body that lies, are on it."""
 
-    Args:
-        hand: How far from the wrist a hand reaches, over the arm's length; farther out is what it holds.
-        depth: What sinks less than this share of the height is left as it is.
-        spread: How long before and after it is needed a lift begins and ends [s].
-        lowered: How far a standing foot that floats is put down at the most, over the leg's length.
-        hold: Weight of the heights of standing feet, over the acceleration of their correction.
-        pull: Weight of the heights of other feet.
-        air: Half of the longest time that a body on legs that do not bend stays in the air [s].
-        flies: A body on such legs that is farther up than between these shares of the height climbs or flies.
-        lies: How far the pelvis of the reference body is under its standing height where it lies [m].
-        raised: Legs whose soles are higher over the ground in the reference body are meant to be up [m].
-    """
-
-    name: ClassVar[str] = "floor"
-
-    hand: float = 0.45
-    depth: float = 0.002
-    spread: float = 0.15
-    lowered: float = 0.08
-    hold: float = 10.0
-    pull: float = 0.05
-    air: float = 0.75
+    hand: float = 0.45  # how far from the wrist a hand reaches, over the arm's length; farther out is what it holds
+    depth: float = 0.002  # what sinks less than this share of the height is left as it is
+    spread: float = 0.15  # how long before and after it is needed a lift begins and ends [s]
+    lowered: float = 0.08  # how far a standing foot that floats is put down at the most, over the leg's length
+    hold: float = 10.0  # weight of the heights of standing feet, over the acceleration of their correction
+    pull: float = 0.05  # weight of the heights of other feet
+    air: float = 0.75  # half of the longest time that a body on legs that do not bend stays in the air [s]
+    # A body on such legs that is farther up than between these shares of the height climbs or flies.
     flies: tuple[float, float] = (0.12, 0.2)
-    lies: float = 0.6
-    raised: float = 0.3
+    lies: float = 0.6  # how far the pelvis of the reference body is under its standing height where it lies [m]
+    raised: float = 0.3  # legs whose soles are higher over the ground in the reference body are meant to be up [m]
 
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
         motion = fitting.motion
@@ -250,35 +209,21 @@ class Floor(Stage):
         character, handles, out = anatomy.mesh, anatomy.mesh_handles, anatomy.stands.copy()
         for arm in anatomy.arms:
             out |= character.surface & (handles.weights[:, [arm.upper, arm.lower]].sum(axis=1) > 0.5)
-            out[self._held(character, arm, True)] = True
+            out[near_wrist(arm, anatomy, self.hand)] = True
         for stump in anatomy.stumps:
             out |= character.surface & (handles.weights[:, [stump.upper, stump.lower]].max(axis=1) > 0.5)
         return out
 
-    def _held(self, character: Character, arm: Leg, near: bool) -> np.ndarray:
-        """Vertices of a hand that are near its wrist, or those that are not and so what it holds, shape (n,)."""
-        away = np.linalg.norm(character.vertices[arm.foot_area] - arm.joints[2], axis=1)
-        return np.asarray(arm.foot_area[(away < self.hand * arm.length) == near])
-
     def grounded(self, motion: HandleMotion, anatomy: Anatomy, contacts: Contacts | None) -> HandleMotion:
-        """The motion with nothing below the ground, and standing feet on it.
-
-        Args:
-            motion: Of the character.
-            anatomy: Of the character. What may stand on the ground, arms and hands must not sink, but what hands hold
-                may.
-            contacts: Of its feet; None where they are not known.
+        """The motion with nothing below the ground, and standing feet on it. What may stand on the ground, arms and
+        hands must not sink, but what hands hold may.
         """
         character, handles, legs, arms = anatomy.mesh, anatomy.handles, anatomy.legs, anatomy.arms
         floor = anatomy.floor
         depth, reach = self.depth * character.height, max(1, round(self.spread * motion.fps))
         solid = self._solid(anatomy)
-        limbs = [
-            *legs,
-            *(replace(arm, sole=np.intersect1d(arm.sole, self._held(character, arm, True))) for arm in arms),
-            *anatomy.stumps,
-        ]
-        limbs = [limb for limb in limbs if len(limb.sole)]
+        hands = (replace(arm, sole=np.intersect1d(arm.sole, near_wrist(arm, anatomy, self.hand))) for arm in arms)
+        limbs = [limb for limb in (*legs, *hands, *anatomy.stumps) if len(limb.sole)]
 
         def need(some: np.ndarray) -> np.ndarray:
             if not some.any():
@@ -304,29 +249,17 @@ class Floor(Stage):
 
 
 @dataclass(frozen=True)
-class Soles(Stage):
-    """Feet that are long for their legs are held flatter where they would sink into the ground.
+class Soles(Stage, name="soles", needs=("ground",)):
+    """Feet that are long for their legs are held flatter where they would sink into the ground."""
 
-    Args:
-        sinks: A sole may sink so far, over the leg's length: the leg makes up for that by bending.
-        steps: Shares of the slope that are tried, before none.
-        soft: How long before and after it is needed a foot is flatter [s].
-    """
-
-    name: ClassVar[str] = "soles"
-    needs: ClassVar[tuple[str, ...]] = ("ground",)
-
-    sinks: float = 0.04
-    steps: tuple[float, ...] = (0.75, 0.5, 0.25)
-    soft: float = 0.1
+    sinks: float = 0.04  # a sole may sink so far, over the leg's length: the leg makes up for that by bending
+    steps: tuple[float, ...] = (0.75, 0.5, 0.25)  # shares of the slope that are tried, before none
+    soft: float = 0.1  # how long before and after it is needed a foot is flatter [s]
 
     def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
         return any(leg.foot for leg in anatomy.legs)
 
-    def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
-        return fitting.moved(self.flatter(fitting.motion, anatomy))
-
-    def flatter(self, motion: HandleMotion, anatomy: Anatomy) -> HandleMotion:
+    def changed(self, motion: HandleMotion, anatomy: Anatomy) -> HandleMotion:
         """The motion with feet turned about their ankles towards the level, as far as their soles would sink."""
         world, changed = motion.transforms(anatomy.handles.positions).astype(np.float64), False
         for leg in anatomy.legs:
@@ -338,8 +271,8 @@ class Soles(Stage):
             if (below >= -self.sinks * leg.length).all():
                 continue
             turned = end_rotations @ anatomy.rotations[leg.end].T
-            facing = np.asarray(matrix_y(heading(turned, motion.fps)), np.float64)
-            slope = np.asarray(axis_angle_from_matrix(facing.transpose(0, 2, 1) @ turned))
+            facing, tilt = facing_and_tilt(turned, motion.fps)
+            slope = np.asarray(axis_angle_from_matrix(tilt))
             less = np.where(below < -self.sinks * leg.length, 1.0, 0.0)
             for step in self.steps[::-1]:
                 back = self._back(np.full(len(motion), 1 - step), slope, facing, turned)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -13,9 +12,9 @@ from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.legs import Leg
 from bunraku.core.body.layout import HANDLE_NAMES, WRISTS
 from bunraku.core.body.reference import reference_body
-from bunraku.core.geometry.curves import gaussian, running_most, smooth_step
+from bunraku.core.geometry.curves import gaussian, running_most, smooth_step, softly_bounded
 from bunraku.core.motion import HandleMotion
-from bunraku.retarget.stages.stage import Fitting, Stage, with_feet_moved
+from bunraku.retarget.stages.stage import Fitting, Stage, near_wrist, with_feet_moved
 
 _PARTS = {"head": ("head", "head_top", "face"), "spine3": ("spine2", "spine3", "left_wing", "right_wing"),
 "pelvis": ("pelvis", "spine1"),
@@ -33,46 +32,30 @@ class _Box:
 
 
 @dataclass(frozen=True)
-class Hands(Stage):
-    """Hands that touch the body stay near it.
+class Hands(Stage, name="hands"):
+    """Hands that touch the body stay near it."""
 
-    Args:
-        near: Distance from a palm's middle to the body at which it begins to count [m of the reference body].
-        touches: Distance at which it counts wholly [m of the reference body].
-        rests: Speed of a palm along a part below which it may touch it [m/s of the reference body].
-        passes: Speed over which it only passes by [m/s of the reference body].
-        close: A hand that is off its position by less than this stays where it is [m of the reference body].
-        blend: Deviation of the smoothing in time [s].
-        most: How far a hand is moved at the most, over the arm's length.
-        palm: What of a hand is this near to its wrist, over the arm's length, is no tool that it holds.
-        box: Share of a part's surface that may stick out of its box on each side.
-    """
-
-    name: ClassVar[str] = "hands"
-    on_request: ClassVar[bool] = True
-
+    # Distance from a palm's middle to the body at which it begins to count [m of the reference body].
     near: float = 0.12
-    touches: float = 0.05
-    rests: float = 0.3
-    passes: float = 0.8
-    close: float = 0.04
-    blend: float = 0.08
-    most: float = 0.5
-    palm: float = 0.45
-    box: float = 0.02
+    touches: float = 0.05  # distance at which it counts wholly [m of the reference body]
+    rests: float = 0.3  # speed of a palm along a part below which it may touch it [m/s of the reference body]
+    passes: float = 0.8  # speed over which it only passes by [m/s of the reference body]
+    close: float = 0.04  # a hand that is off its position by less than this stays where it is [m of the reference body]
+    blend: float = 0.08  # deviation of the smoothing in time [s]
+    most: float = 0.5  # how far a hand is moved at the most, over the arm's length
+    palm: float = 0.45  # what of a hand is this near to its wrist, over the arm's length, is no tool that it holds
+    box: float = 0.02  # share of a part's surface that may stick out of its box on each side
 
     def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
         return anatomy.upright and len(fitting.source) > 1
 
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
-        return fitting.moved(self.kept(fitting.source, fitting.motion, anatomy))
-
-    def kept(self, motion: HandleMotion, fitted: HandleMotion, anatomy: Anatomy) -> HandleMotion:
-        """The fitted motion with hands where the reference body's hands touch it."""
+        """The motion with hands where the reference body's hands touch it."""
+        motion, fitted = fitting.source, fitting.motion
         character, handles, scale = anatomy.mesh, anatomy.mesh_handles, anatomy.scale
         arms = [arm for arm in anatomy.arms if int(handles.played[arm.foot[0]]) in WRISTS]
         if not arms:
-            return fitted
+            return fitting
         body = reference_body()
         reference_parts = self._parts(body.vertices, body.handle_weights, np.arange(len(HANDLE_NAMES)))
         stance = anatomy.stance_transforms.astype(np.float64)
@@ -88,8 +71,7 @@ class Hands(Stage):
         for number, arm in enumerate(arms):
             wrist = int(handles.played[arm.foot[0]])
             source = _applied(theirs[:, wrist], palms[wrist])
-            away = np.linalg.norm(character.vertices[arm.foot_area] - arm.joints[2], axis=1)
-            near = arm.foot_area[away < self.palm * arm.length]
+            near = near_wrist(arm, anatomy, self.palm)
             palm = character.vertices[near if len(near) else arm.foot_area].mean(axis=0).astype(np.float64)
             present = _applied(world[:, arm.foot[0]], palm)
             positions.append((wrist, source, present))
@@ -114,9 +96,8 @@ class Hands(Stage):
             off = np.linalg.norm(shifts[:, number], axis=1, keepdims=True)
             shifts[:, number] *= np.maximum(1 - self.close * scale / np.maximum(off, 1e-9), 0)
             smooth = gaussian(shifts[:, number], self.blend * fitted.fps)
-            far = np.linalg.norm(smooth, axis=1, keepdims=True) / (self.most * arm.length)
-            shifts[:, number] = smooth * np.tanh(far) / np.maximum(far, 1e-9)
-        return with_feet_moved(fitted, anatomy, arms, shifts)
+            shifts[:, number] = softly_bounded(smooth, self.most * arm.length)
+        return fitting.moved(with_feet_moved(fitted, anatomy, arms, shifts))
 
     def _joined(
         self, positions: list[tuple[int, np.ndarray, np.ndarray]], shifts: np.ndarray, motion: HandleMotion,
@@ -195,12 +176,7 @@ EDGE = 0.1
 
 
 class BodySurface:
-    """The surface of a body without its arms, part by part in the rest pose.
-
-    Args:
-        anatomy: Of the character.
-        least: Points of a part under which it is none.
-    """
+    """The surface of a body without its arms, part by part in the rest pose; a part has `least` points or more."""
 
     def __init__(self, anatomy: Anatomy, least: int = 12):
         mesh, handles = anatomy.mesh, anatomy.mesh_handles
@@ -224,16 +200,8 @@ class BodySurface:
                 self._parts.append(_BodyPart(handle, cKDTree(points), points, out, low, high))
 
     def depths(self, motion: HandleMotion, hands: np.ndarray, near: float) -> tuple[np.ndarray, np.ndarray]:
-        """How deep points are in the body, and which way is out.
-
-        Args:
-            motion: Of the character.
-            hands: Points in each frame [m], shape (N, m, 3).
-            near: Farther from a surface than this nothing is looked at [m].
-
-        Returns:
-            Depths [m], negative outside and minus infinity far from it, shape (N, m), and unit vectors in the world,
-            shape (N, m, 3).
+        """How deep points (N, m, 3) are in the body [m], negative outside and minus infinity farther from it than
+        `near`, shape (N, m), and which way is out, unit vectors in the world, shape (N, m, 3).
         """
         world = motion.transforms(self._positions).astype(np.float64)
         beside = np.empty((len(self._parts), *hands.shape[:2]))
@@ -265,40 +233,23 @@ _SURFACES: WeakKeyDictionary[Anatomy, BodySurface] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True)
-class HandsClear(Stage):
-    """Hands and forearms stay out of the body.
+class HandsClear(Stage, name="hands_clear"):
+    """Hands and forearms stay out of the body."""
 
-    Args:
-        points: Points of a hand that are looked at.
-        palm: What of a hand is this near to its wrist, over the arm's length, is no tool that it holds.
-        near: Distance from a surface beyond which nothing is looked at, over the arm's length.
-        least: Depth in the body up to which a hand only touches it [m of the reference body].
-        above: How far over the surface it is then held [m of the reference body].
-        most: How far a hand is moved at the most, over the arm's length.
-        wide: For how long before and after it a correction is held [s].
-        blend: Deviation of its smoothing in time [s].
-        rounds: The correction is found in turns, since the nearest surface changes with it.
-    """
-
-    name: ClassVar[str] = "hands_clear"
-
-    points: int = 96
-    palm: float = 0.45
-    near: float = 0.25
-    least: float = 0.004
-    above: float = 0.01
-    most: float = 0.3
-    wide: float = 0.1
-    blend: float = 0.1
-    rounds: int = 6
+    points: int = 96  # points of a hand that are looked at
+    palm: float = 0.45  # what of a hand is this near to its wrist, over the arm's length, is no tool that it holds
+    near: float = 0.25  # distance from a surface beyond which nothing is looked at, over the arm's length
+    least: float = 0.004  # depth in the body up to which a hand only touches it [m of the reference body]
+    above: float = 0.01  # how far over the surface it is then held [m of the reference body]
+    most: float = 0.3  # how far a hand is moved at the most, over the arm's length
+    wide: float = 0.1  # for how long before and after it a correction is held [s]
+    blend: float = 0.1  # deviation of its smoothing in time [s]
+    rounds: int = 6  # the correction is found in turns, since the nearest surface changes with it
 
     def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
         return anatomy.upright and fitting.source.own_height and len(fitting.source) > 1 and bool(anatomy.arms)
 
-    def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
-        return fitting.moved(self.cleared(fitting.motion, anatomy))
-
-    def cleared(self, motion: HandleMotion, anatomy: Anatomy) -> HandleMotion:
+    def changed(self, motion: HandleMotion, anatomy: Anatomy) -> HandleMotion:
         """The motion with hands outside of the body."""
         surface = _SURFACES.get(anatomy) or _SURFACES.setdefault(anatomy, BodySurface(anatomy))
         scale, first = anatomy.scale, motion
@@ -314,9 +265,7 @@ class HandsClear(Stage):
                     break
                 want = np.where(inside > self.least * scale, inside + self.above * scale, 0)
                 push = want[:, None] * out[rows, deepest]
-                shift = shift + self._soft(push, motion.fps)
-                far = np.linalg.norm(shift, axis=1, keepdims=True) / (self.most * arm.length)
-                shift = shift * np.tanh(far) / np.maximum(far, 1e-9)
+                shift = softly_bounded(shift + self._soft(push, motion.fps), self.most * arm.length)
             if shift.any():
                 first = with_feet_moved(first, anatomy, [arm], shift[:, None])
         return first
@@ -324,8 +273,7 @@ class HandsClear(Stage):
     def hand(self, motion: HandleMotion, arm: Leg, anatomy: Anatomy, forearm: bool = False) -> np.ndarray:
         """Points of a hand in each frame, and of the lower half of its forearm perhaps [m], shape (N, m, 3)."""
         mesh, handles = anatomy.mesh, anatomy.mesh_handles
-        away = np.linalg.norm(mesh.vertices[arm.foot_area] - arm.joints[2], axis=1)
-        near = arm.foot_area[away < self.palm * arm.length]
+        near = near_wrist(arm, anatomy, self.palm)
         vertices = near if len(near) else arm.foot_area
         vertices = vertices[np.linspace(0, len(vertices) - 1, min(self.points, len(vertices))).astype(int)]
         if forearm:

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import ClassVar
 
 import numpy as np
 
@@ -20,64 +19,52 @@ from bunraku.core.character import Handles
 from bunraku.core.geometry.curves import gaussian
 from bunraku.core.geometry.rotations import (
     axis_angle_from_matrix,
-    heading,
+    facing_and_tilt,
     matrix_from_axis_angle,
-    matrix_y,
     rotation_between,
 )
 from bunraku.retarget.stages.stage import Fitting, Stage
 
 
 @dataclass(frozen=True)
-class RestPose(Stage):
+class RestPose(Stage, name="rest_pose"):
     """Limbs are rotated from the character's rest direction into the reference body's.
 
     A limb that rests in another direction (arms down, A-pose, sitting, the front legs of a dog) is first turned into
     the reference's, so the motion means the same (`Anatomy.rotations`).
     """
 
-    name: ClassVar[str] = "rest_pose"
-
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
         return replace(fitting, rotations=fitting.rotations @ anatomy.rotations)
 
 
 @dataclass(frozen=True)
-class Level(Stage):
+class Level(Stage, name="level", needs=("rest_pose",)):
     """Bodies that lie along their spine take a third of a person's tilt of the pelvis.
 
     A person bends over by tilting the pelvis; on a body that lies along its spine the same tilt would stand it on its
     head. The turn about +Y stays whole.
-
-    Args:
-        parts: Of so many parts of the tilt one is kept.
     """
 
-    name: ClassVar[str] = "level"
-    needs: ClassVar[tuple[str, ...]] = ("rest_pose",)
-
-    parts: float = 3
+    parts: float = 3  # of so many parts of the tilt one is kept
 
     def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
         return not fitting.source.own_kind and not anatomy.upright
 
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
-        root = fitting.source.root_rotation
-        facing = matrix_y(heading(root, fitting.source.fps))
-        tilt = axis_angle_from_matrix(facing.transpose(0, 2, 1) @ root)
-        return replace(fitting, root_rotation=np.asarray(facing @ matrix_from_axis_angle(tilt / self.parts)))
+        facing, tilt = facing_and_tilt(fitting.source.root_rotation, fitting.source.fps)
+        less = matrix_from_axis_angle(axis_angle_from_matrix(tilt) / self.parts)
+        return replace(fitting, root_rotation=np.asarray(facing @ less))
 
 
 @dataclass(frozen=True)
-class Attach(Stage):
+class Attach(Stage, name="attach"):
     """Handles stay joined to their parents.
 
     Each is joined at the place where its weights and its parent's meet. This takes the place of the learned adaptation
     delta (section 3.2 of TapMo) where bones are longer or shorter than the reference's. Soft bending and shrugs, which
     the motion has beyond stiff joints, are added in the character's scale; rigid blocks have none.
     """
-
-    name: ClassVar[str] = "attach"
 
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
         source, handles = fitting.source, anatomy.handles
@@ -91,18 +78,14 @@ class Attach(Stage):
 
 
 @dataclass(frozen=True)
-class Blocks(Stage):
+class Blocks(Stage, name="blocks"):
     """Arms and legs of one rigid block point to where a person's hand or foot is.
 
     A block takes the turn of the upper arm or the thigh, and is swung from there by the least turn that makes it point
     along the whole limb.
-
-    Args:
-        folded: How much the upper part counts beside the whole limb, so that a hand at the shoulder gives a direction.
     """
 
-    name: ClassVar[str] = "blocks"
-
+    # How much the upper part counts beside the whole limb, so that a hand at the shoulder gives a direction.
     folded: float = 0.05
 
     def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
@@ -125,7 +108,7 @@ _ARM_HANDLES, _LEGS = ([*left, *right] for left, right in (ARMS, LEGS))
 
 
 @dataclass(frozen=True)
-class Legless(Stage):
+class Legless(Stage, name="legless", needs=("rest_pose",)):
     """The foot of a snail takes no steps, and the branches of a tree do not swing as arms.
 
     A body has no legs where nothing of it reaches the ground on either side as a leg does, and it is no person's where
@@ -133,9 +116,6 @@ class Legless(Stage):
     steps would tear that apart. Arms of what lies are left to `fins` where the motion was drawn for such a body. Limbs
     that the bones of a rig name are there, whatever hangs on them.
     """
-
-    name: ClassVar[str] = "legless"
-    needs: ClassVar[tuple[str, ...]] = ("rest_pose",)
 
     def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
         return not anatomy.named and anatomy.plan.kind == "no legs"
@@ -152,21 +132,14 @@ _PARTS = [part for arm in ARMS for part in arm]
 
 
 @dataclass(frozen=True)
-class Fins(Stage):
-    """Fins, claws and forelegs that nothing was drawn for stay near their rest.
+class Fins(Stage, name="fins", needs=("rest_pose",)):
+    """Fins, claws and forelegs that nothing was drawn for stay near their rest."""
 
-    Args:
-        undrawn: Arms that are off the trunk's turn by no more on average were not drawn [rad].
-        aside: Each part of a fin is held so far from its rest at the most, but for its swings [rad].
-        slow: What changes more slowly than this is how a fin is held, and no swing [s].
-    """
-
-    name: ClassVar[str] = "fins"
-    needs: ClassVar[tuple[str, ...]] = ("rest_pose",)
-
+    # Arms that are off the trunk's turn by no more on average were not drawn [rad].
     undrawn: float = float(np.radians(6))
+    # Each part of a fin is held so far from its rest at the most, but for its swings [rad].
     aside: float = float(np.radians(10))
-    slow: float = 0.5
+    slow: float = 0.5  # what changes more slowly than this is how a fin is held, and no swing [s]
 
     def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
         if not fitting.source.own_kind or anatomy.upright:
@@ -186,14 +159,8 @@ class Fins(Stage):
         return bool(np.linalg.norm(turns, axis=-1).mean() > self.undrawn)
 
     def held(self, rotations: np.ndarray, handles: Handles, joints: Joints, drawn: bool, fps: float) -> np.ndarray:
-        """Local rotations in which arms rest where they were not drawn, and are held near their rest where they were.
-
-        Args:
-            rotations: Of a character's handles from its rest pose, in the root's frame, shape (N, K, 3, 3).
-            handles: Its handles.
-            joints: Where they meet.
-            drawn: Whether its arms were drawn.
-            fps: Frames a second [1/s].
+        """Rotations (N, K, 3, 3) of a character's handles from its rest pose, in the root's frame, in which arms rest
+        where they were not `drawn`, and are held near their rest where they were.
         """
         before = rotations.astype(np.float64)
         out = before.copy()

@@ -7,7 +7,6 @@ from __future__ import annotations
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 from scipy.sparse import csr_matrix
@@ -26,26 +25,16 @@ KERNEL = np.array([-1, 4, 10, 4, -1]) / 16
 
 
 @dataclass(frozen=True)
-class Smooth(Stage):
-    """The generator's noise is taken out; fast moves stay.
+class Smooth(Stage, name="smooth"):
+    """The generator's noise is taken out; fast moves stay."""
 
-    Args:
-        local: Over how long power is measured [s].
-        floor: The noise floor is exceeded by the power of all frames but this share.
-        margin: Power under so many times the floor is noise.
-        most_turn: The floor is no higher than this in an entry of a rotation; captured clips have more detail.
-        most_shift: Likewise of a position [m].
-        least: Shorter clips have no floor to be measured [frames].
-    """
-
-    name: ClassVar[str] = "smooth"
-
-    local: float = 0.1
-    floor: float = 0.25
-    margin: float = 4.0
+    local: float = 0.1  # over how long power is measured [s]
+    floor: float = 0.25  # the noise floor is exceeded by the power of all frames but this share
+    margin: float = 4.0  # power under so many times the floor is noise
+    # The floor is no higher than this in an entry of a rotation; captured clips have more detail.
     most_turn: float = 0.003
-    most_shift: float = 0.0006
-    least: int = 5
+    most_shift: float = 0.0006  # likewise of a position [m]
+    least: int = 5  # shorter clips have no floor to be measured [frames]
 
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
         return Fitting.of(self.smoothed(fitting.source), anatomy, fitting.heights)
@@ -60,11 +49,7 @@ class Smooth(Stage):
         return np.asarray(slow + gain[..., None] * fast)
 
     def smoothed(self, motion: HandleMotion) -> HandleMotion:
-        """The motion of the reference body without its jitter; fast moves keep their speed.
-
-        Args:
-            motion: N frames of K handles.
-        """
+        """The motion of the reference body without its jitter; fast moves keep their speed."""
         if len(motion) < self.least:
             return motion
         fps = motion.fps
@@ -87,33 +72,20 @@ _FACTORS = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9]
 
 
 @dataclass(frozen=True)
-class Shape(Stage):
-    """Handles move a little where that keeps the mesh's edges at their lengths.
+class Shape(Stage, name="shape"):
+    """Handles move a little where that keeps the mesh's edges at their lengths."""
 
-    Args:
-        looked_at: Edges among which those are found that can change: a sample, where a mesh has more.
-        edges: How many of them count.
-        strength: How much the squared changes of length count beside the squared move of the handles [m^2 of the
-            reference body].
-        calm: ARAP-Loss that a character may have before the strength is taken back, so that one that distorts a lot by
-            nature is not pulled about.
-        longest: No handle is moved farther [m of the reference body].
-        steps: Gauss-Newton steps.
-        stride: Every this many frames are solved; the moves between them are blended.
-        chunk: Frames that are solved at once.
-    """
-
-    name: ClassVar[str] = "shape"
-    on_request: ClassVar[bool] = True
-
-    looked_at: int = 20_000
-    edges: int = 1000
+    looked_at: int = 20_000  # edges among which those are found that can change: a sample, where a mesh has more
+    edges: int = 1000  # how many of them count
+    # How much the squared changes of length count beside the squared move of the handles [m^2 of the reference body].
     strength: float = 0.2
+    # ARAP-Loss that a character may have before the strength is taken back, so that one that distorts a lot by nature
+    # is not pulled about.
     calm: float = 0.15
-    longest: float = 0.04
-    steps: int = 2
-    stride: int = 2
-    chunk: int = 32
+    longest: float = 0.04  # no handle is moved farther [m of the reference body]
+    steps: int = 2  # gauss-Newton steps
+    stride: int = 2  # every this many frames are solved; the moves between them are blended
+    chunk: int = 32  # frames that are solved at once
 
     def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
         return not anatomy.handles.rigid
@@ -125,15 +97,8 @@ class Shape(Stage):
     def moves(
         self, rotations: np.ndarray, translations: np.ndarray, character: Character, handles: Handles, scale: float
     ) -> np.ndarray:
-        """What to add to local translations so that the mesh is stretched less, shape (N, K, 3) [m]; the root's share
-        is zero.
-
-        Args:
-            rotations: Local rotations of the handles, shape (N, K, 3, 3).
-            translations: Their local translations [m], shape (N, K, 3).
-            character: The character.
-            handles: Its handles.
-            scale: The character's size over the reference body's.
+        """What to add to local translations (N, K, 3) so that the mesh is stretched less [m]; the root's share is zero.
+        `scale` is the character's size over the reference body's.
         """
         system = _System.of(character, handles, self)
         if system is None:

@@ -20,7 +20,6 @@ def with_feet_moved(
 
     Args:
         motion: Of the character, N frames.
-        anatomy: Of the character.
         legs: The limbs whose ends are moved, L.
         shifts: How far each ankle or wrist moves [m], shape (N, L, 3).
         slopes: How each foot is rotated about its ankle, in the world, shape (N, L, 3, 3); None for not at all.
@@ -38,43 +37,33 @@ def sole_points(leg: Leg, anatomy: Anatomy, transforms: np.ndarray) -> np.ndarra
     return skin(anatomy.mesh.vertices[sole], anatomy.mesh_handles.weights[sole], transforms).astype(np.float64)
 
 
+def near_wrist(arm: Leg, anatomy: Anatomy, share: float) -> np.ndarray:
+    """Vertices of a hand nearer to its wrist than a share of the arm's length: farther out is what it holds."""
+    away = np.linalg.norm(anatomy.mesh.vertices[arm.foot_area] - arm.joints[2], axis=1)
+    return np.asarray(arm.foot_area[away < share * arm.length])
+
+
 @dataclass(frozen=True, eq=False)
 class Contacts:
-    """How feet move along the ground, from each frame to the next.
+    """How feet move along the ground, from each frame to the next."""
 
-    Args:
-        steps: How far the lowest part of each sole moves along x and z [m], shape (N - 1, L, 2).
-        heights: Its height over the ground, mean of the two frames [m], shape (N - 1, L).
-        stands: How much the foot stands, 0 to 1, shape (N - 1, L).
-    """
-
-    steps: np.ndarray
-    heights: np.ndarray
-    stands: np.ndarray
+    steps: np.ndarray  # how far the lowest part of each sole moves along x and z [m], shape (N - 1, L, 2)
+    stands: np.ndarray  # how much the foot stands, 0 to 1, shape (N - 1, L)
 
 
 @dataclass(frozen=True, eq=False)
 class Fitting:
-    """A motion on its way from the reference body to a character.
+    """A motion on its way from the reference body to a character."""
 
-    Args:
-        source: The motion of the reference body, as far as stages have changed it.
-        rotations: Local rotations of the character's handles, in the root's frame, shape (N, K, 3, 3).
-        translations: Their local translations [m], shape (N, K, 3).
-        root_rotation: Of the character, shape (N, 3, 3).
-        root_translation: Of the character [m], shape (N, 3).
-        heights: Of the lowest point of the body that moves in the source, where that is not the reference body, in its
-            scale [m], shape (N,).
-        contacts: Of the character's feet; None where nothing has looked for them.
-    """
-
-    source: HandleMotion
-    rotations: np.ndarray
-    translations: np.ndarray
-    root_rotation: np.ndarray
-    root_translation: np.ndarray
+    source: HandleMotion  # the motion of the reference body, as far as stages have changed it
+    rotations: np.ndarray  # local rotations of the character's handles, in the root's frame, shape (N, K, 3, 3)
+    translations: np.ndarray  # their local translations [m], shape (N, K, 3)
+    root_rotation: np.ndarray  # of the character, shape (N, 3, 3)
+    root_translation: np.ndarray  # of the character [m], shape (N, 3)
+    # Of the lowest point of the body that moves in the source, where that is not the reference body, in its scale [m],
+    # shape (N,).
     heights: np.ndarray | None = None
-    contacts: Contacts | None = None
+    contacts: Contacts | None = None  # of the character's feet; None where nothing has looked for them
 
     @classmethod
     def of(cls, source: HandleMotion, anatomy: Anatomy, heights: np.ndarray | None = None) -> Fitting:
@@ -92,37 +81,37 @@ class Fitting:
     @property
     def motion(self) -> HandleMotion:
         """The motion of the character."""
-        return replace(
-            self.source, rotations=self.rotations, translations=self.translations, root_rotation=self.root_rotation,
-            root_translation=self.root_translation,
-        )  # fmt: skip
+        return self.source.with_arrays({name: getattr(self, name) for name in HandleMotion.arrays})
 
     def moved(self, motion: HandleMotion) -> Fitting:
         """The same with another motion of the character."""
-        return replace(
-            self, rotations=motion.rotations, translations=motion.translations, root_rotation=motion.root_rotation,
-            root_translation=motion.root_translation,
-        )  # fmt: skip
+        return replace(self, **{name: getattr(motion, name) for name in HandleMotion.arrays})
 
 
 @dataclass(frozen=True)
 class Stage:
-    """A step on the way of a motion from the reference body to a character; its thresholds are its fields.
+    """A step on the way of a motion from the reference body to a character; its thresholds are its fields. Motions and
+    the anatomy that its methods take are the character's, unless they say otherwise.
 
     The first line of a stage's docstring says what holds after it; the help of `--without` and the docs print it.
     """
 
-    name: ClassVar[str] = ""
+    name: ClassVar[str]
     """By which it is switched on and off (`Stages`)."""
-    needs: ClassVar[tuple[str, ...]] = ()
+    needs: ClassVar[tuple[str, ...]]
     """Stages without which it does not run."""
-    on_request: ClassVar[bool] = False
-    """Whether it runs only on request."""
+
+    def __init_subclass__(cls, name: str, needs: tuple[str, ...] = ()) -> None:
+        cls.name, cls.needs = name, needs
 
     def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
         """Whether there is something for it to do."""
         return True
 
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
-        """The motion after it."""
+        """The motion after it; of most stages, that of the character as they have `changed` it."""
+        return fitting.moved(self.changed(fitting.motion, anatomy))
+
+    def changed(self, motion: HandleMotion, anatomy: Anatomy) -> HandleMotion:
+        """The motion of the character after it."""
         raise NotImplementedError

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
 
 import numpy as np
 
@@ -15,9 +14,8 @@ from bunraku.core.character import Handles
 from bunraku.core.geometry.curves import gaussian
 from bunraku.core.geometry.rotations import (
     axis_angle_from_matrix,
-    heading,
+    facing_and_tilt,
     matrix_from_axis_angle,
-    matrix_y,
     rotation_between,
 )
 from bunraku.core.motion import HandleMotion
@@ -31,25 +29,15 @@ _GRAVITY, _PERSON = 9.81, 1.7
 
 
 @dataclass(frozen=True)
-class Lag(Stage):
-    """Ears, horns, a trunk and a tail that nothing moves follow what they grow from with a damped lag.
+class Lag(Stage, name="lag", needs=("attach",)):
+    """Ears, horns, a trunk and a tail that nothing moves follow what they grow from with a damped lag."""
 
-    Args:
-        stiff: Natural frequency, over that of a pendulum as long as the part on a body as tall as a person.
-        damping: Share of critical damping, less than 1.
-        most: No part is turned farther from where it would be if it were stiff [rad].
-        drawn: A tail that turns against the pelvis by more on average was drawn, and has its motion already [rad].
-        middle: How far along a part its point is: two thirds, as of a rod about its end.
-    """
-
-    name: ClassVar[str] = "lag"
-    needs: ClassVar[tuple[str, ...]] = ("attach",)
-
-    stiff: float = 2.5
-    damping: float = 0.4
-    most: float = float(np.radians(25))
+    stiff: float = 2.5  # natural frequency, over that of a pendulum as long as the part on a body as tall as a person
+    damping: float = 0.4  # share of critical damping, less than 1
+    most: float = float(np.radians(25))  # no part is turned farther from where it would be if it were stiff [rad]
+    # A tail that turns against the pelvis by more on average was drawn, and has its motion already [rad].
     drawn: float = float(np.radians(6))
-    middle: float = 2 / 3
+    middle: float = 2 / 3  # how far along a part its point is: two thirds, as of a rod about its end
 
     def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
         return len(fitting.source) > 1 and not anatomy.handles.rigid and bool(self.parts(fitting.source, anatomy))
@@ -68,12 +56,8 @@ class Lag(Stage):
         return out
 
     def lagging(self, motion: HandleMotion, anatomy: Anatomy, parts: list[list[int]]) -> HandleMotion:
-        """The motion with some parts lagging behind, each turned about its joint.
-
-        Args:
-            motion: Of the character.
-            anatomy: Of the character.
-            parts: Handles of each, from the root outwards; those further out go along with the first, and lag on.
+        """The motion with some parts lagging behind, each turned about its joint. Of the handles of a part, from the
+        root outwards, those further out go along with the first, and lag on.
         """
         joints, handles = anatomy.joints, anatomy.handles
         world = motion.transforms(handles.positions).astype(np.float64)
@@ -103,13 +87,7 @@ class Lag(Stage):
         return max(float(along.max()) / way, 1.0)
 
     def followed(self, goal: np.ndarray, frequency: float, fps: float) -> np.ndarray:
-        """Where a point on a spring is while its goal moves, shape (N, 3) each [m].
-
-        Args:
-            goal: Where it would rest.
-            frequency: Its natural frequency, w [rad/s].
-            fps: Frames a second [1/s].
-        """
+        """Where a point on a spring of natural frequency w [rad/s] is while its goal moves, shape (N, 3) each [m]."""
         rate, swing = self.damping * frequency, frequency * np.sqrt(1 - self.damping**2)
         # Of e = x - x_p between frames: e'' = -w^2 e - 2 z w e', a swing that dies away.
         sine, cosine = np.sin(swing / fps) / swing, np.cos(swing / fps)
@@ -135,18 +113,12 @@ class Lag(Stage):
 
 
 @dataclass(frozen=True)
-class Tail(Stage):
-    """Tails that are held up higher than they rest are lowered.
+class Tail(Stage, name="tail"):
+    """Tails that are held up higher than they rest are lowered."""
 
-    Args:
-        highest: A tail that rests lower is held up so far at the most, but for its swings [rad].
-        slow: What changes more slowly than this is how a tail is held, and no swing [s].
-    """
-
-    name: ClassVar[str] = "tail"
-
+    # A tail that rests lower is held up so far at the most, but for its swings [rad].
     highest: float = float(np.radians(25))
-    slow: float = 0.5
+    slow: float = 0.5  # what changes more slowly than this is how a tail is held, and no swing [s]
 
     def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
         return fitting.source.own_kind
@@ -165,16 +137,13 @@ class Tail(Stage):
 
         Args:
             rotations: Of a character's handles from its rest pose, in the root's frame, shape (N, K, 3, 3).
-            handles: Its handles.
-            joints: Where they meet in its rest pose.
-            fps: Frames a second [1/s].
+            joints: Where the handles meet in the rest pose.
             root_rotation: Of the root, shape (N, 3, 3); None for a root that does not turn.
         """
         out, tilt = rotations, np.eye(3)[None]
         there = joints.present & (handles.played == np.arange(len(handles.positions)))
         if root_rotation is not None:
-            facing = np.asarray(matrix_y(heading(root_rotation, fps)), np.float64)
-            tilt = facing.transpose(0, 2, 1) @ root_rotation
+            _, tilt = facing_and_tilt(root_rotation, fps)
         for part in (_TAIL, _TIP):
             if not there[part]:
                 continue
@@ -197,29 +166,17 @@ class Tail(Stage):
 
 
 @dataclass(frozen=True)
-class TailClear(Stage):
-    """A tail that would sink into the ground is turned up.
+class TailClear(Stage, name="tail_clear", needs=("floor",)):
+    """A tail that would sink into the ground is turned up."""
 
-    Args:
-        step: Turns upwards are tried so far apart, up to a right angle [degrees].
-        depth: What sinks less than this share of the height is left as it is.
-        soft: How long before and after it is needed a tail is turned [s].
-    """
-
-    name: ClassVar[str] = "tail_clear"
-    needs: ClassVar[tuple[str, ...]] = ("floor",)
-
-    step: float = 3.0
-    depth: float = 0.002
-    soft: float = 0.15
+    step: float = 3.0  # turns upwards are tried so far apart, up to a right angle [degrees]
+    depth: float = 0.002  # what sinks less than this share of the height is left as it is
+    soft: float = 0.15  # how long before and after it is needed a tail is turned [s]
 
     def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
         return bool(anatomy.legs)
 
-    def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
-        return fitting.moved(self.raised(fitting.motion, anatomy))
-
-    def raised(self, motion: HandleMotion, anatomy: Anatomy) -> HandleMotion:
+    def changed(self, motion: HandleMotion, anatomy: Anatomy) -> HandleMotion:
         """The motion with a tail turned up, about where it is joined, as far as it would sink into the ground."""
         character, handles, joints, there = anatomy.mesh, anatomy.mesh_handles, anatomy.joints, anatomy.own
         held, floor = anatomy.tail, anatomy.floor
@@ -232,7 +189,7 @@ class TailClear(Stage):
         if points[..., 1].min() >= low:
             return motion
         pivot = np.einsum("nij,j->ni", world[:, base, :, :3], joints.positions[base]) + world[:, base, :, 3]
-        facing = np.asarray(matrix_y(heading(motion.root_rotation, motion.fps)), np.float64)
+        facing, _ = facing_and_tilt(motion.root_rotation, motion.fps)
         away = np.einsum("nji,nmj->nmi", facing, points - pivot[:, None])
         up, behind = away[..., 1], -away[..., 2]
         steps = np.radians(np.arange(0, 91, self.step))

@@ -12,21 +12,12 @@ from starlette.responses import FileResponse, JSONResponse, Response
 
 from bunraku.core.body.corrections import SUFFIX, Corrections, read_corrections, write_corrections
 from bunraku.core.files import atomic_write, writing
-from bunraku.core.request import from_json
 from bunraku.errors import FormatError, OptionError
 from bunraku.studio.dressing import WORN, clean_mask, found_mask, has_apparel, paint, painted_file, shown_mask
 from bunraku.studio.forms import CharacterForm
-from bunraku.studio.routes.reading import (
-    CHARACTERS,
-    TooLarge,
-    beside,
-    plain_name,
-    ready_character,
-    receive,
-    studio_state,
-    unpack,
-)
+from bunraku.studio.routes import reading
 from bunraku.studio.state import State
+from bunraku.studio.workspace import Settings
 
 PICTURE = "picture"
 """The file of a character's picture."""
@@ -40,16 +31,17 @@ UNTOUCHED = {"up": "auto", "front": "auto", "unit": "auto", "handles": "predict"
 
 async def characters(request: Request) -> Any:
     """All characters; POST adds one, from the body or a sample."""
-    state = studio_state(request)
+    state = reading.studio_state(request)
     if request.method == "GET":
         return {"characters": state.store.all("characters")}
     sample = request.query_params.get("sample")
     if sample:
         return JSONResponse(await run_in_threadpool(_sampled, state, sample), 202)
-    title, suffix = plain_name(request.query_params.get("name", ""))
-    if suffix not in (*CHARACTERS, ".zip"):
+    title, suffix = reading.plain_name(request.query_params.get("name", ""))
+    if suffix not in (*reading.CHARACTERS, ".zip"):
         raise FormatError(
-            f"{title}{suffix}", f"this is not a format of characters; those are {', '.join((*CHARACTERS, '.zip'))}"
+            f"{title}{suffix}",
+            f"this is not a format of characters; those are {', '.join((*reading.CHARACTERS, '.zip'))}",
         )
     record = await run_in_threadpool(state.store.new, "characters", _fresh(title, ""))
     folder = state.store.folder_of("characters", record["id"])
@@ -57,10 +49,10 @@ async def characters(request: Request) -> Any:
         source = folder / "source"
         source.mkdir()
         file = source / f"{title}{suffix}"
-        await receive(request, file)
+        await reading.receive(request, file)
         name = file.relative_to(folder).as_posix()
         if suffix == ".zip":
-            name = f"source/{await run_in_threadpool(unpack, file, source)}"
+            name = f"source/{await run_in_threadpool(reading.unpack, file, source)}"
             file.unlink()
         return JSONResponse(await run_in_threadpool(state.open, record["id"], name), 202)
     except BaseException:
@@ -87,29 +79,27 @@ def _sampled(state: State, sample: str) -> dict[str, Any]:
         raise
 
 
-@beside
-def character(request: Request, body: dict[str, Any]) -> Any:
+@reading.beside(CharacterForm)
+def character(request: Request, form: CharacterForm) -> Any:
     """One character; PATCH renames it, turns it, changes its unit or where its handles come from; DELETE gives it up
     until the studio starts again, and PATCH with `deleted` false takes that back.
     """
-    state, name = studio_state(request), request.path_params["name"]
+    state, name = reading.studio_state(request), request.path_params["name"]
     record = state.store.get("characters", name)
     if request.method == "DELETE":
         return state.change("characters", name, deleted=True)
     if request.method == "GET":
         return record
-    form = from_json(CharacterForm, body, "the request")
     if form.deleted is False:
         record = state.change("characters", name, deleted=False)
     if form.name is not None:
-        title, _ = plain_name(f"{form.name}.x")
+        title, _ = reading.plain_name(f"{form.name}.x")
         record = state.change("characters", name, name=title)
     old = record["settings"]
     settings = {key: getattr(form, key) or old[key] for key in UNTOUCHED}
     if settings == old and record["state"] in ("ready", "opening"):
         return record
-    if settings["up"] != "auto" and settings["front"] != "auto" and settings["up"][1] == settings["front"][1]:
-        raise OptionError("up and front lie along the same axis; choose two at a right angle")
+    Settings(**settings)  # refuses axes that do not go together
     if state.busy("characters", name):
         raise OptionError("something is being made of this character; wait for it, or cancel it")
     state.change("characters", name, settings=settings)
@@ -117,15 +107,15 @@ def character(request: Request, body: dict[str, Any]) -> Any:
     return JSONResponse(opened, 202)
 
 
-@beside
-def body(request: Request, form: dict[str, Any]) -> Any:
+@reading.beside(Corrections)
+def body(request: Request, form: Corrections | dict[str, Any]) -> Any:
     """What a person says about a body: PUT takes axes, joints and parts as the file of corrections has them
     (`core.body.corrections`), DELETE takes all of it back. The character opens again; its record has them as `body`.
     """
-    state, name = studio_state(request), request.path_params["name"]
+    state, name = reading.studio_state(request), request.path_params["name"]
     record = state.store.get("characters", name)
     file = state.store.folder_of("characters", name) / record["file"]
-    said = from_json(Corrections, form, "the body") if request.method == "PUT" else Corrections()
+    said = form if isinstance(form, Corrections) else Corrections()
     if state.busy("characters", name):
         raise OptionError("something is being made of this character; wait for it, or cancel it")
     old = read_corrections(file) or Corrections()
@@ -145,24 +135,24 @@ async def mesh(request: Request) -> Response:
     """The mesh with its skin, and no clip; `?skin=bones` for takes that move the file's own bones, `?skin=chains` with
     chains of bones for hair and clothes, whose springs stand in the extras.
     """
-    state, name = studio_state(request), request.path_params["name"]
+    state, name = reading.studio_state(request), request.path_params["name"]
     file = SKINS.get(request.query_params.get("skin", ""), "mesh.glb")
     return FileResponse(state.store.file("characters", name, file), media_type="model/gltf-binary")
 
 
 async def picture(request: Request) -> Any:
     """How a character looks on its card: PUT keeps a WebP or PNG that the page drew."""
-    state, name = studio_state(request), request.path_params["name"]
+    state, name = reading.studio_state(request), request.path_params["name"]
     if request.method == "GET":
         path = state.store.file("characters", name, PICTURE)
         kind = "image/png" if path.read_bytes()[:4] == PNG else "image/webp"
         return FileResponse(path, media_type=kind)
-    record = ready_character(state, name)
+    record = reading.ready_character(state, name)
     data = bytearray()
     async for chunk in request.stream():
         data += chunk
         if len(data) > MOST_PICTURE:
-            raise TooLarge(f"a picture of more than {MOST_PICTURE >> 10} KiB is not taken; draw a smaller one")
+            raise reading.TooLarge(f"a picture of more than {MOST_PICTURE >> 10} KiB is not taken; draw a smaller one")
     if data[:4] != PNG and (data[:4] != b"RIFF" or data[8:12] != b"WEBP"):
         raise FormatError("picture", "it is neither a PNG nor a WebP; draw it again")
     return await run_in_threadpool(_pictured, state, record, bytes(data))
@@ -178,8 +168,8 @@ async def mask(request: Request) -> Any:
     """Which vertices are hair and clothes: GET gives the painted mask, or else the found one; PUT takes a painted one,
     for all takes from then on; DELETE goes back to the found one.
     """
-    state, name = studio_state(request), request.path_params["name"]
-    record = ready_character(state, name)
+    state, name = reading.studio_state(request), request.path_params["name"]
+    record = reading.ready_character(state, name)
     worn = state.store.file("characters", name, WORN)
     painted = painted_file(state.store.folder_of("characters", name) / record["file"])
     if request.method == "GET":
@@ -189,7 +179,7 @@ async def mask(request: Request) -> Any:
     async for chunk in request.stream():
         bits += chunk
         if len(bits) > MOST_MASK:
-            raise TooLarge(f"a mask of more than {MOST_MASK >> 20} MiB is not taken; reload the page")
+            raise reading.TooLarge(f"a mask of more than {MOST_MASK >> 20} MiB is not taken; reload the page")
     return await run_in_threadpool(_painted, state, record, worn, painted, bytes(bits), request.method == "DELETE")
 
 
@@ -206,10 +196,10 @@ def _painted(
         return state.note("characters", record["id"], painted=not back, apparel=has_apparel(chosen))
 
 
-@beside
+@reading.beside()
 def copy(request: Request, body: dict[str, Any]) -> Any:
     """The same file as another character, to try other handles or axes beside it."""
-    state, name = studio_state(request), request.path_params["name"]
+    state, name = reading.studio_state(request), request.path_params["name"]
     old = state.store.get("characters", name)
     record = state.store.new("characters", {**_fresh(f"{old['name']} copy"[:80], ""), "settings": old["settings"]})
     source, target = (state.store.folder_of("characters", key) / "source" for key in (name, record["id"]))

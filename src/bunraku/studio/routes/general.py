@@ -7,32 +7,21 @@ import importlib.util
 import time
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, Response
 
-from bunraku.core.request import FPS, from_json
+from bunraku.core.request import FPS, Length, from_json
 from bunraku.errors import BunrakuError, OptionError
 from bunraku.files import preset_rows
-from bunraku.generation.library import Clip, search
 from bunraku.generation.library import clip as find_clip
+from bunraku.generation.library import search
 from bunraku.studio.jobs import public
 from bunraku.studio.projects import pack_project, unpack_project
 from bunraku.studio.records import Record, checked_view, read_view
-from bunraku.studio.routes.reading import (
-    CHARACTERS,
-    MOST_BYTES,
-    MOTIONS,
-    PROJECTS,
-    beside,
-    body_of,
-    plain_name,
-    ready_character,
-    receive,
-    studio_state,
-)
+from bunraku.studio.routes import reading
 from bunraku.studio.workspace import PREVIEWS
 
 MOST_PROJECTS = 200
@@ -48,10 +37,10 @@ def shown_project(record: Record) -> Record:
     return {**record, "view": read_view(record["view"])}
 
 
-@beside
+@reading.beside()
 def projects(request: Request, body: dict[str, Any]) -> Any:
     """All projects; POST adds one for a tab, and drops the oldest where there are too many."""
-    state = studio_state(request)
+    state = reading.studio_state(request)
     if request.method == "GET":
         return {"projects": [shown_project(record) for record in state.store.all("projects")]}
     view = checked_view(body.get("view"))
@@ -61,10 +50,10 @@ def projects(request: Request, body: dict[str, Any]) -> Any:
     return JSONResponse(state.store.new("projects", {"view": view, "saved": time.time(), "revision": 0}), 201)
 
 
-@beside
+@reading.beside()
 def project(request: Request, body: dict[str, Any]) -> Any:
     """One project; PUT keeps the view of a page. A page that names an older revision is refused."""
-    state, name = studio_state(request), request.path_params["name"]
+    state, name = reading.studio_state(request), request.path_params["name"]
     if request.method == "PUT":
         view = checked_view(body.get("view"))
         record = state.store.get("projects", name)
@@ -79,10 +68,10 @@ def project(request: Request, body: dict[str, Any]) -> Any:
     return shown_project(state.store.get("projects", name))
 
 
-@beside
+@reading.beside()
 def packed(request: Request, body: dict[str, Any]) -> Response:
     """A character with its takes as one file; the body has the view of the page."""
-    state, name = studio_state(request), request.path_params["name"]
+    state, name = reading.studio_state(request), request.path_params["name"]
     view = checked_view(body.get("view"))
     title = state.store.get("characters", name)["name"]
     export = state.new_export("project.bunraku", f"{title}.bunraku")
@@ -98,12 +87,12 @@ def packed(request: Request, body: dict[str, Any]) -> Response:
 
 async def opened(request: Request) -> Any:
     """Open the project file in the body."""
-    state = studio_state(request)
-    title, _ = plain_name(request.query_params.get("name", ""))
+    state = reading.studio_state(request)
+    title, _ = reading.plain_name(request.query_params.get("name", ""))
     export = await run_in_threadpool(state.new_export, "project.bunraku", title)
     path = state.store.folder_of("exports", export["id"]) / f"{title}.bunraku"
     try:
-        await receive(request, path)
+        await reading.receive(request, path)
         project = await run_in_threadpool(unpack_project, state.store, path)
     finally:
         await run_in_threadpool(state.store.drop, "exports", export["id"])
@@ -122,41 +111,30 @@ MOST_PREVIEWS = 48
 """Clips of one request."""
 
 
-def facts_of(clip: Clip) -> dict[str, Any]:
-    """A clip as a page gets it."""
-    return {
-        "name": clip.name, "sentence": clip.sentence, "seconds": clip.seconds, "loops": clip.loops,
-        "tags": clip.tags, "credit": clip.source.credit, "terms": clip.source.terms,
-    }  # fmt: skip
-
-
 async def clips(request: Request) -> Any:
     """Clips by words, `?q=`, and tags, `?tag=`; all without."""
     words = request.query_params.get("q", "")
-    if len(words) > MOST_TEXT:
-        raise OptionError(f"q has more than {MOST_TEXT} characters; look for fewer words")
+    Length(MOST_TEXT).check(words, "q")
     tags = request.query_params.getlist("tag")
-    return {"clips": [facts_of(clip) for clip in await run_in_threadpool(search, words, tags)]}
+    return {"clips": [clip.facts for clip in await run_in_threadpool(search, words, tags)]}
 
 
 @dataclass(frozen=True)
 class _PreviewForm:
     """Clips that are to be seen on a character."""
 
-    clips: tuple[str, ...] = ()
+    clips: Annotated[tuple[str, ...], Length(MOST_PREVIEWS, 1)]
 
     def __post_init__(self) -> None:
-        if not 1 <= len(self.clips) <= MOST_PREVIEWS:
-            raise OptionError(f"1 to {MOST_PREVIEWS} clips are shown at once")
         for name in self.clips:
             find_clip(name)
 
 
-async def previews(request: Request) -> Any:
+@reading.beside(_PreviewForm, alone=False)
+def previews(request: Request, form: _PreviewForm) -> Any:
     """Show clips on a character; the job is null where all are there."""
-    state, owner = studio_state(request), request.path_params["name"]
-    ready_character(state, owner)
-    form = from_json(_PreviewForm, await body_of(request), "the request")
+    state, owner = reading.studio_state(request), request.path_params["name"]
+    reading.ready_character(state, owner)
     folder = state.store.folder_of("characters", owner) / PREVIEWS
     missing = [name for name in dict.fromkeys(form.clips) if not (folder / f"{name}.bin").is_file()]
     if not missing:
@@ -168,7 +146,7 @@ async def previews(request: Request) -> Any:
 
 async def preview(request: Request) -> Response:
     """How a clip looks on a character: what its joints do (`clips.packed_clip`)."""
-    state, owner = studio_state(request), request.path_params["name"]
+    state, owner = reading.studio_state(request), request.path_params["name"]
     file = f"{PREVIEWS}/{find_clip(request.path_params['clip']).name}.bin"
     return FileResponse(state.store.file("characters", owner, file), media_type="application/octet-stream")
 
@@ -184,12 +162,12 @@ async def about(request: Request) -> Any:
     from bunraku import __version__
     from bunraku.files import sample_names
 
-    state = studio_state(request)
+    state = reading.studio_state(request)
     more = [("pxr", ("usdz",)), ("av", ("mp4",)), ("PIL", ("gif",))]
     found = [name for module, names in more if importlib.util.find_spec(module) is not None for name in names]
     return {
-        "version": __version__, "limits": {"bytes": MOST_BYTES, "seconds": 120, "takes": 8},
-        "reads": {"characters": CHARACTERS, "motions": MOTIONS, "projects": PROJECTS},
+        "version": __version__, "limits": {"bytes": reading.MOST_BYTES, "seconds": 120, "takes": 8},
+        "reads": {"characters": reading.CHARACTERS, "motions": reading.MOTIONS, "projects": reading.PROJECTS},
         "writes": ["glb", "fbx", "bvh", "vrma", "vmd", "npz", *found], "fps": [FPS.low, FPS.high],
         "presets": preset_rows(), "samples": list(sample_names()), "folder": state.store.folder.name,
         "worker": {"warm": state.jobs.warm, "process": state.jobs.process_id}, "event": state.jobs.changes.last,
@@ -216,7 +194,7 @@ class _LoginForm:
 async def login(request: Request) -> Any:
     """The token, in exchange for the password."""
     keys, tries, now = request.app.state.keys, request.app.state.tries, time.monotonic()
-    given = from_json(_LoginForm, await body_of(request, MOST_LOGIN), "the request").password
+    given = from_json(_LoginForm, await reading.body_of(request, MOST_LOGIN), "the request").password
     client = request.client.host if request.client else ""
     count, free = tries.pop(client, (0, 0.0))
     if now < free:
@@ -233,32 +211,27 @@ async def login(request: Request) -> Any:
 
 @dataclass(frozen=True)
 class _TextForm:
-    text: str = ""
-
-    def __post_init__(self) -> None:
-        if len(self.text) > MOST_TEXT:
-            raise OptionError(f"text has more than {MOST_TEXT} characters")
+    text: Annotated[str, Length(MOST_TEXT)] = ""
 
 
-async def understand(request: Request) -> Any:
+@reading.beside(_TextForm, alone=False)
+def understand(request: Request, form: _TextForm) -> Any:
     """What is understood of a sentence, with the positions of unknown words."""
     from bunraku.language.understood import understood
 
-    words = from_json(_TextForm, await body_of(request), "the request").text
-    reading = await run_in_threadpool(understood, words)
-    clips = await run_in_threadpool(search, words)
+    words = understood(form.text)
     return {
-        "clips": [clip.name for clip in clips[:SUGGESTED]], "ok": reading.ok, "language": reading.language,
-        "english": reading.english,
-        "unknown": [{"word": word.word, "start": word.start, "stop": word.stop} for word in reading.unknown],
-        "corrected": [list(pair) for pair in reading.corrected], "nearest": list(reading.nearest),
-        "notes": list(reading.notes),
+        "clips": [clip.name for clip in search(form.text)[:SUGGESTED]], "ok": words.ok, "language": words.language,
+        "english": words.english,
+        "unknown": [{"word": word.word, "start": word.start, "stop": word.stop} for word in words.unknown],
+        "corrected": [list(pair) for pair in words.corrected], "nearest": list(words.nearest),
+        "notes": list(words.notes),
     }  # fmt: skip
 
 
 async def changes(request: Request) -> Any:
     """What has changed after the number `?after=`; without it, the number to ask with."""
-    changes = studio_state(request).jobs.changes
+    changes = reading.studio_state(request).jobs.changes
     given = request.query_params.get("after", str(changes.last))
     if not given.isascii() or not given.isdecimal() or len(given) > LONGEST_NUMBER:
         raise OptionError("after must be a whole number; reload the page")
@@ -267,12 +240,12 @@ async def changes(request: Request) -> Any:
 
 async def jobs(request: Request) -> Any:
     """All jobs that are known."""
-    return {"jobs": [public(job) for job in studio_state(request).jobs.all()]}
+    return {"jobs": [public(job) for job in reading.studio_state(request).jobs.all()]}
 
 
 async def job(request: Request) -> Any:
     """One job; DELETE cancels it."""
-    state, name = studio_state(request), request.path_params["name"]
+    state, name = reading.studio_state(request), request.path_params["name"]
     if request.method == "DELETE":
         return public(await run_in_threadpool(state.jobs.cancel, name))
     return public(state.jobs.get(name))
@@ -280,7 +253,7 @@ async def job(request: Request) -> Any:
 
 async def again(request: Request) -> Any:
     """Make what was interrupted or failed again."""
-    state = studio_state(request)
+    state = reading.studio_state(request)
     old = state.jobs.get(request.path_params["name"])
     job = await run_in_threadpool(state.jobs.again, old["id"])
     await run_in_threadpool(state.revive, old["about"])

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import functools
+import inspect
 import re
 import zipfile
 from collections.abc import Awaitable, Callable
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -14,7 +15,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
 
 from bunraku.core.files import path_inside, writing
-from bunraku.core.request import read_json
+from bunraku.core.request import from_json, read_json
 from bunraku.errors import BunrakuError, FormatError, OptionError
 from bunraku.files import READERS
 from bunraku.studio.projects import copy_entry, open_archive
@@ -48,6 +49,9 @@ _BESIDE = (
 )
 
 
+Route = Callable[[Request], Awaitable[Any]]
+
+
 class TooLarge(BunrakuError):
     """More bytes than are taken."""
 
@@ -60,26 +64,24 @@ def plain_name(name: str) -> tuple[str, str]:
     return title, suffix if re.fullmatch(r"\.[a-z0-9]{1,8}", suffix) else ""
 
 
-async def receive(request: Request, path: Path, most: int | None = None) -> int:
-    """Write the body of a request to a file and return its size; an incomplete file is removed.
+async def receive(request: Request, path: Path) -> None:
+    """Write the body of a request to a file; an incomplete file is removed.
 
     Raises:
         TooLarge: It has more bytes than are taken.
         FormatError: The connection broke, the body is empty, or the file cannot be written.
     """
-    most = MOST_BYTES if most is None else most
     declared = request.headers.get("content-length", "")
     size, complete, chunks = 0, False, request.stream()
     try:
-        if declared.isdecimal() and int(declared) > most:
-            raise TooLarge(
-                f"{path.name}: {int(declared) >> 20} MiB are too many, at most {most >> 20} are taken; simplify it"
-            )
+        if declared.isdecimal() and int(declared) > MOST_BYTES:
+            mib = int(declared) >> 20
+            raise TooLarge(f"{path.name}: {mib} MiB are too many, at most {MOST_BYTES >> 20} are taken; simplify it")
         with writing(path), path.open("wb") as file:
             async for chunk in chunks:
                 size += len(chunk)
-                if size > most:
-                    raise TooLarge(f"{path.name}: more than {most >> 20} MiB are not taken; simplify it")
+                if size > MOST_BYTES:
+                    raise TooLarge(f"{path.name}: more than {MOST_BYTES >> 20} MiB are not taken; simplify it")
                 file.write(chunk)
         if not size:
             raise FormatError(path.name, "the file is empty; export it again")
@@ -96,7 +98,6 @@ async def receive(request: Request, path: Path, most: int | None = None) -> int:
                     size += len(chunk)
                     if size > MOST_REFUSED:
                         break
-    return size
 
 
 def unpack(archive: Path, folder: Path) -> str:
@@ -142,12 +143,7 @@ def studio_state(request: Request) -> State:
 
 
 def ready_character(state: State, name: str) -> dict[str, Any]:
-    """The record of a character that is open.
-
-    Raises:
-        OptionError: It is not.
-        NotThere: There is none.
-    """
+    """The record of a character that is open; OptionError where it is not, NotThere where there is none."""
     record = state.store.get("characters", name)
     if record["state"] != "ready":
         raise OptionError(f"{record['name']} is not open yet ({record['error'] or record['state']}); wait for it")
@@ -167,21 +163,29 @@ async def body_of(request: Request, most: int = MOST_JSON) -> dict[str, Any]:
     return body
 
 
-def beside(handler: Callable[[Request, dict[str, Any]], Any]) -> Callable[[Request], Awaitable[Any]]:
-    """A route that writes to the disk. It runs in another thread than the one that answers, so a slow disk holds up no
-    other request. Such routes run one after the other, so what one has looked up holds until it has written.
-
-    Args:
-        handler: Called with the request and the JSON object of its body, empty where it has none.
+def beside(form: type | None = None, alone: bool = True) -> Callable[[Callable[[Request, Any], Any]], Route]:
+    """A route that runs in another thread than the one that answers, so a slow disk holds up no other request. It is
+    called with the request and its body: an object, or the dataclass that it is read as; {} where there is none. Routes
+    that write run `alone`, one after the other, so what one has looked up holds until it has written; those that wait
+    are coroutines, and run where the others are answered.
     """
 
-    def alone(request: Request, body: dict[str, Any]) -> Any:
-        with studio_state(request).writing:
-            return handler(request, body)
+    def decorated(handler: Callable[[Request, Any], Any]) -> Route:
+        def work(request: Request, body: Any) -> Any:
+            with studio_state(request).writing if alone else nullcontext():
+                return handler(request, body)
 
-    @functools.wraps(handler)
-    async def route(request: Request) -> Any:
-        body = {} if request.method in ("GET", "DELETE") else await body_of(request)
-        return await run_in_threadpool(alone, request, body)
+        @functools.wraps(handler)
+        async def route(request: Request) -> Any:
+            body: Any = {}
+            if request.method not in ("GET", "DELETE"):
+                body = await body_of(request)
+                body = body if form is None else from_json(form, body, "the request")
+            if inspect.iscoroutinefunction(handler):
+                return await handler(request, body)
+            return await run_in_threadpool(work, request, body)
 
-    return route
+        route.form = form  # type: ignore[attr-defined]  # for the OpenAPI document
+        return route
+
+    return decorated

@@ -26,18 +26,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from bunraku import __version__
-from bunraku.core.body.corrections import Corrections
 from bunraku.errors import BunrakuError
-from bunraku.studio.forms import (
-    ChangeForm,
-    CharacterForm,
-    ClipsForm,
-    ExportForm,
-    LiveForm,
-    PlayedForm,
-    TakeForm,
-    TakeRecordForm,
-)
 from bunraku.studio.jobs import QueueFull
 from bunraku.studio.routes import characters, general, takes
 from bunraku.studio.routes.reading import TooLarge
@@ -56,17 +45,11 @@ OPEN_API = ("/api/login",)
 
 @dataclass(frozen=True)
 class Keys:
-    """What lets a page in.
+    """What lets a page in."""
 
-    Args:
-        token: In the address that is opened.
-        password: For other machines; "" keeps the studio to this one.
-        hosts: Names by which the studio may be called; empty allows any, behind a password only.
-    """
-
-    token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
-    password: str = ""
-    hosts: tuple[str, ...] = LOCAL
+    token: str = field(default_factory=lambda: secrets.token_urlsafe(24))  # in the address that is opened
+    password: str = ""  # for other machines; "" keeps the studio to this one
+    hosts: tuple[str, ...] = LOCAL  # names by which the studio may be called; empty allows any, behind a password only
 
     def fits(self, given: str) -> bool:
         """Whether this is the token."""
@@ -74,12 +57,7 @@ class Keys:
 
 
 class Guard:
-    """The gate in front of all routes.
-
-    Args:
-        app: What is behind it.
-        keys: What lets a page in.
-    """
+    """The gate in front of all routes of an application; its keys let a page in."""
 
     def __init__(self, app: ASGIApp, keys: Keys):
         self.app, self.keys = app, keys
@@ -170,9 +148,9 @@ def schema_of(kind: Any) -> dict[str, Any]:
     return {}
 
 
-def document_of(routes: Routes, version: str, reads: Mapping[tuple[str, str], type]) -> dict[str, Any]:
-    """The OpenAPI document of routes; handlers' docstrings say what these do, `reads` has the classes of JSON bodies by
-    path and method.
+def document_of(routes: Routes, version: str) -> dict[str, Any]:
+    """The OpenAPI document of routes; handlers' docstrings say what these do, and their `form` what a body is read
+    as.
     """
     paths: dict[str, dict[str, Any]] = {}
     for path, methods, handler in routes:
@@ -189,8 +167,8 @@ def document_of(routes: Routes, version: str, reads: Mapping[tuple[str, str], ty
                 entry["parameters"] = [
                     {"name": name, "in": "path", "required": True, "schema": {"type": "string"}} for name in names
                 ]
-            form = reads.get((path, method))
-            if form is not None:
+            form = getattr(handler, "form", None)
+            if form is not None and method not in ("GET", "DELETE"):
                 entry["requestBody"] = {"content": {"application/json": {"schema": schema_of(form)}}}
             paths.setdefault(re.sub(r"{(\w+):\w+}", r"{\1}", path), {})[method.lower()] = entry
     return {
@@ -203,30 +181,14 @@ def document_of(routes: Routes, version: str, reads: Mapping[tuple[str, str], ty
     }
 
 
-READS: dict[tuple[str, str], type] = {
-    ("/characters/{name}", "PATCH"): CharacterForm,
-    ("/characters/{name}/body", "PUT"): Corrections,
-    ("/characters/{name}/takes", "POST"): TakeForm,
-    ("/characters/{name}/exports", "POST"): ClipsForm,
-    ("/characters/{name}/live", "POST"): LiveForm,
-    ("/characters/{name}/live/take", "POST"): PlayedForm,
-    ("/takes/{name}", "PATCH"): TakeRecordForm,
-    ("/takes/{name}/change", "POST"): ChangeForm,
-    ("/takes/{name}/exports", "POST"): ExportForm,
-}
-"""What the body of a route is read as."""
 STATIC = Path(__file__).parents[1] / "static"
 VIEW = Path(__file__).parents[2] / "render" / "view" / "view.js"
 """The script of `.html` files, from which the page takes three.js."""
 
 
 def studio_app(folder: Path, keys: Keys | None = None, warm: bool = True) -> Starlette:
-    """The application.
-
-    Args:
-        folder: Where it keeps everything; FormatError where it cannot be used.
-        keys: What lets a page in; a new token where None.
-        warm: Start the worker with the application, and the sample where there is nothing yet.
+    """The application, which keeps everything in a folder, FormatError where that cannot be used. A new token lets a
+    page in where `keys` is None. With `warm` the worker starts with it, and the sample where there is nothing yet.
     """
     keys = keys or Keys()
     state = State(Store(folder))
@@ -240,25 +202,22 @@ def studio_app(folder: Path, keys: Keys | None = None, warm: bool = True) -> Sta
         finally:
             state.stop()
 
-    api = [*general.ROUTES, *characters.ROUTES, *takes.ROUTES, ("/openapi.json", ("GET",), described)]
-    routes = [Route(path, _answered(handler), methods=list(methods)) for path, methods, handler in api]
-    pages = [Route("/", _page), Route("/view.js", _view), Mount("/", app=StaticFiles(directory=STATIC))]
+    routes = [Route(path, _answered(handler), methods=list(methods)) for path, methods, handler in API]
+    pages = [Route("/view.js", _view), Mount("/", app=StaticFiles(directory=STATIC, html=True))]
     app = Starlette(
         routes=[Mount("/api", routes=routes), *pages], middleware=[Middleware(Guard, keys=keys)], lifespan=lifespan,
         exception_handlers={HTTPException: _no_such_page},
     )  # fmt: skip
     app.state.studio, app.state.keys, app.state.tries = state, keys, {}
-    app.state.openapi = document_of(api, __version__, READS)
     return app
 
 
 async def described(request: Request) -> Any:
     """These routes as an OpenAPI document."""
-    return request.app.state.openapi
+    return document_of(API, __version__)
 
 
-async def _page(request: Request) -> Response:
-    return FileResponse(STATIC / "index.html")
+API: Routes = (*general.ROUTES, *characters.ROUTES, *takes.ROUTES, ("/openapi.json", ("GET",), described))
 
 
 async def _view(request: Request) -> Response:

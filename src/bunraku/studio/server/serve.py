@@ -67,8 +67,7 @@ def serve(folder: Path, *, port: int = 8734, host: str = "127.0.0.1", password: 
     Args:
         folder: Where it keeps its things.
         port: Where it listens; the next free one where that is taken; 0 for any.
-        host: Address to listen at; all but this machine's own needs a password.
-        password: What others type.
+        host: Address to listen at; all but this machine's own needs a password, which others type.
         browser: Open the page.
 
     Raises:

@@ -18,6 +18,7 @@ from scipy.ndimage import gaussian_filter1d, percentile_filter
 
 from bunraku.core.body.joint_rotations import motion_from_positions
 from bunraku.core.body.layout import HANDLE_NAMES, JOINT_NAMES
+from bunraku.core.body.reference import handle_positions, reference_body
 from bunraku.core.files import remove_leftovers
 from bunraku.core.geometry.rotations import (
     axis_angle_from_matrix,
@@ -25,10 +26,11 @@ from bunraku.core.geometry.rotations import (
     matrix_from_axis_angle,
     matrix_from_quaternion,
 )
+from bunraku.core.geometry.surface import vertex_areas
 from bunraku.core.motion import HandleMotion, SkeletalMotion, Skeleton
 from bunraku.core.parallel import Pool
 from bunraku.errors import FormatError
-from bunraku.retarget.to_reference import registered_body
+from bunraku.retarget.to_reference import handle_motion_of_mesh
 from bunraku_lab.datasets.motions.clips import (
     FEWEST,
     Stretch,
@@ -251,6 +253,42 @@ def grounded_motion(motion: SkeletalMotion) -> tuple[HandleMotion, np.ndarray]:
     return replace(whole, root_translation=whole.root_translation - drop), (lowest - floor).astype(np.float32)
 
 
+CHUNK = 400  # frames posed at once: bounds memory at about 30 MB a worker
+
+
+def handle_motion_of_body(motion: SkeletalMotion) -> HandleMotion:
+    """Skeletal motion of SMPL's joints as handle motion of the reference body.
+
+    The body is set on the ground: the clip is moved along Y so that the lowest point of its standing frames (5 %
+    quantile) is at 0, unless that is more than 15 cm away, where the clip means to be off the ground.
+    """
+    registered, lowest, _ = registered_body(motion)
+    floor = float(np.quantile(lowest, 0.05))
+    drop = np.array([0, floor if abs(floor) < 0.15 else 0, 0], np.float32)
+    return replace(registered, root_translation=registered.root_translation - drop)
+
+
+def registered_body(motion: SkeletalMotion) -> tuple[HandleMotion, np.ndarray, np.ndarray]:
+    """Handle motion of the reference body as the skeleton moves it, wherever the ground is, the lowest point of the
+    body in each frame [m], shape (N,), and that of all but its arms.
+    """
+    body = reference_body()
+    areas = vertex_areas(body.vertices, body.faces)
+    positions = handle_positions(body.vertices, body.handle_weights, areas)
+    outer = ("elbow", "wrist", "fingers")
+    arms = [HANDLE_NAMES.index(f"{side}_{part}") for side in ("left", "right") for part in outer]
+    carries = body.handle_weights[:, arms].sum(axis=1) < 0.5
+    parts, lowest, carrying = [], [], []
+    for start in range(0, len(motion), CHUNK):
+        cut = slice(start, start + CHUNK)
+        part = SkeletalMotion(motion.skeleton, motion.rotations[cut], motion.root_translation[cut], motion.fps)
+        posed = body.pose(part)
+        lowest.append(posed[..., 1].min(axis=1))
+        carrying.append(posed[:, carries, 1].min(axis=1))
+        parts.append(handle_motion_of_mesh(body.vertices, posed, body.handle_weights, positions, areas, motion.fps))
+    return HandleMotion.joined(parts), np.concatenate(lowest), np.concatenate(carrying)
+
+
 def split_of(name: str) -> str:
     """The split of a clip, fixed for ever by its name: 6 % "test", 3 % "val", the rest "train"."""
     number = int(hashlib.sha256(name.encode()).hexdigest()[:8], 16) % 100
@@ -293,17 +331,11 @@ def _batches(archive: MotionArchive, todo: list[int]) -> Iterator[list[int]]:
 def build_motions(
     source: str | Path, out: str | Path, jobs: int | None = None, progress: Callable[[str, float], None] | None = None
 ) -> Path:
-    """Convert every clip of the archive to handle motion of the reference body.
+    """Convert every clip of the archive in a folder, with `motions.npz` and `motions.json`, to handle motion of the
+    reference body, on as many processes as there are cores by default. The path of `index.json` is given back, which
+    has captions, source, frames, split and weight of each clip.
 
     One file a clip, written whole or not at all, so a second run goes on where the first one stopped.
-
-    Args:
-        source: Folder with `motions.npz` and `motions.json`.
-        out: Folder for the clips and `index.json` (captions, source, frames, split and weight of each clip).
-        jobs: Processes; the number of cores when None.
-
-    Returns:
-        Path of `index.json`.
 
     Raises:
         FormatError: The archive cannot be read or the folder cannot be written.
@@ -450,13 +482,7 @@ def find_turn(motion: HandleMotion) -> tuple[int, int, float] | None:
 
 
 def add_turns(out: str | Path) -> list[str]:
-    """Cut the turns out of the training clips that `build_motions` wrote and add them to the index.
-
-    Args:
-        out: Folder of the motions, with its `index.json`.
-
-    Returns:
-        Names of the new clips.
+    """Cut the turns out of the training clips that `build_motions` wrote, add them to the index, and give their names.
 
     Raises:
         FormatError: The index or a clip is missing or broken.

@@ -344,16 +344,10 @@ def _entry(clip: CreatureClip, frames: int) -> dict[str, Any]:
 def add_creatures(
     characters: str | Path, out: str | Path, progress: Callable[[str, float], None] | None = None
 ) -> tuple[list[str], dict[str, str]]:
-    """Convert the clips that `creature_clips.json` names and add them to the index that `build_motions` wrote.
+    """Convert the clips that `creature_clips.json` names, of the unpacked character archive, and add them to the index
+    that `build_motions` wrote. The names of its clips are given back, and what failed with its reason.
 
     One file a clip, so a second run goes on where the first one stopped; what fails does not stop the others.
-
-    Args:
-        characters: Folder of the unpacked character archive.
-        out: Folder of the motions, with its `index.json`.
-
-    Returns:
-        Names of the clips in the index, and what failed with its reason.
 
     Raises:
         FormatError: There is no index, or none of the characters is there.
@@ -422,18 +416,7 @@ def _side(motion: HandleMotion, part: str) -> str:
 def add_game_clips(
     characters: str | Path, out: str | Path, progress: Callable[[str, float], None] | None = None
 ) -> tuple[list[str], dict[str, str]]:
-    """Convert the clips that `game_clips.json` names and add them to the index that `build_motions` wrote.
-
-    Args:
-        characters: Folder of the unpacked character archive.
-        out: Folder of the motions, with its `index.json`.
-
-    Returns:
-        Names of the clips in the index, and what failed with its reason.
-
-    Raises:
-        FormatError: There is no index, or none of the characters is there.
-    """
+    """As `add_creatures`, the clips that `game_clips.json` names."""
     from bunraku.files import load_animation
 
     characters, out = Path(characters), Path(out)

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Self, TypeVar
+from typing import TYPE_CHECKING, Annotated, Literal, Self, TypeVar
 
 import tyro
 
@@ -111,15 +111,8 @@ def check_range(option: str, value: float | None, low: float, high: float) -> No
 
 
 def check_sequence(prompt: str, seconds: float, force: bool, named: bool = False) -> Sentence:
-    """The sentence of a prompt, or of several in a row.
-
-    Args:
-        prompt: What is typed; the name of a clip may stand before it where it is `named`.
-        seconds: Length of the clip [s].
-        force: Take a prompt that is not understood.
-
-    Raises:
-        OptionError: The prompt is refused, or no clip of this length can be made.
+    """The sentence of a prompt, or of several in a row, of a clip of some seconds; the name of a clip may stand before
+    it where it is `named`. OptionError where the prompt is refused, which `force` prevents where it is not understood.
     """
     from bunraku.language.parse import parse
 
@@ -157,16 +150,13 @@ def check_source(folder: Path | None, advice: str) -> None:
 
 
 def check_output(path: Path, suffixes: Iterable[str], inputs: Iterable[Path] = ()) -> None:
-    """Raise FormatError unless a file of this name can be written.
-
-    Args:
-        path: The file to be.
-        suffixes: Suffixes that the verb can write, with their dots.
-        inputs: Files that must not be overwritten.
+    """Raise FormatError unless a file of this name can be written, with one of the suffixes, and over none of the
+    inputs.
     """
     allowed = list(suffixes)
     if path.suffix.lower() not in allowed:
-        raise FormatError(path, f"{_describe(path)} cannot be written here; end the name in {_listed(allowed)}")
+        kind = f"'{path.suffix}'" if path.suffix else "a file without a suffix"
+        raise FormatError(path, f"{kind} cannot be written here; end the name in {_listed(allowed)}")
     if path.is_dir():
         raise FormatError(path, "this is a folder; name a file in it")
     if any(path.exists() and other.exists() and path.samefile(other) for other in inputs):
@@ -240,10 +230,6 @@ def slug(text: str, length: int = 40) -> str:
     return f"{out}-{mark}"
 
 
-def _describe(path: Path) -> str:
-    return f"'{path.suffix}'" if path.suffix else "a file without a suffix"
-
-
 def _listed(suffixes: list[str]) -> str:
     return suffixes[0] if len(suffixes) == 1 else f"{', '.join(suffixes[:-1])} or {suffixes[-1]}"
 
@@ -257,7 +243,22 @@ PREVIEWS = (".mp4", ".webp", ".gif", ".png")
 OUTPUTS = (".glb", ".npz", ".bvh", ".vrma", ".vmd", *NEEDY, ".fbx", ".obj", ".ply", ".html", *PREVIEWS)
 
 OutputOption = Annotated[tuple[Path, ...], tyro.conf.arg(aliases=["-o"]), tyro.conf.UseAppendAction]
-PreviewOption = Annotated[tuple[Path, ...], tyro.conf.UseAppendAction]
+PreviewOption = Annotated[
+    tuple[Path, ...],
+    tyro.conf.arg(help="Also make a video (.mp4, .webp, .gif) or a contact sheet (.png). May be given more than once."),
+    tyro.conf.UseAppendAction,
+]
+OverwriteOption = Annotated[
+    bool, tyro.conf.arg(help="Replace files that Bunraku did not write, or wrote from other inputs.")
+]
+FpsOption = Annotated[float, tyro.conf.arg(help="Frames a second of what is written, 1 to 240.")]
+HandlesOption = Annotated[
+    Literal["predict", "rig"],
+    tyro.conf.arg(
+        help='Where handles come from: "predict" finds them from the shape, "rig" takes the bones that the file '
+        "brings, by their names."
+    ),
+]
 _STAGES = tuple(field.name.replace("_", "-") for field in fields(Stages))
 WithoutOption = Annotated[
     tuple[str, ...],
@@ -300,14 +301,10 @@ def save_all(
     animation: AnimatedCharacter, outputs: Sequence[Path], previews: Sequence[Path], fps: float, report: Progress,
     options: Mapping[str, str] | None = None,
 ) -> None:  # fmt: skip
-    """Write an animation and its previews, and print what was written.
+    """Write an animation and its previews, videos and contact sheets, and print what was written.
 
     Args:
-        animation: What to write.
-        outputs: The animation's files.
-        previews: Videos and contact sheets.
         fps: Frames a second [1/s] of previews, and of files where `options` is None.
-        report: Called with a stage's name and the share done.
         options: Those of the files' formats; the animation then keeps its own rate.
     """
     with written_files() as written:
@@ -346,15 +343,8 @@ def save_clips_to(
     clips: Mapping[str, AnimatedCharacter], outputs: Sequence[Path], fps: float, add: bool, report: Progress,
     preset: Preset | None = None,
 ) -> None:  # fmt: skip
-    """Write clips of one character into each of several files, and print what was written.
-
-    Args:
-        clips: By their names.
-        outputs: The files.
-        fps: Frames a second [1/s].
-        add: Whether the clips of files that exist are kept.
-        report: Called with a stage's name and the share done.
-        preset: What the program wants that the files are for; its rate holds where `fps` is the usual one.
+    """Write clips of one character, by their names, into each of several files, and print what was written. With `add`
+    the clips of files that exist are kept. The rate of a preset holds where `fps` is the usual one.
     """
     from bunraku.files import save_clips, save_for
 
@@ -373,12 +363,8 @@ def save_clips_to(
 
 @dataclass(frozen=True)
 class Result:
-    """One of many files that a run makes.
-
-    Args:
-        path: The file.
-        inputs: Files that it is made of.
-        mark: The fingerprint of everything that it is made of.
+    """One of many files that a run makes, the files that it is made of, and the fingerprint (`manifest.fingerprint`) of
+    everything that it is made of.
     """
 
     path: Path
@@ -401,15 +387,8 @@ Work = Callable[[list[AnyResult]], Iterable[str]]
 
 
 def unfinished_results(results: Sequence[AnyResult], overwrite: bool, what: str) -> list[AnyResult]:
-    """The results that still have to be made, a line saying how many there are already.
-
-    Args:
-        results: All of them, in one folder or several.
-        overwrite: Whether files that something else wrote may be replaced.
-        what: What they are called.
-
-    Raises:
-        FormatError: Something else is in the path of a result.
+    """The results that still have to be made; a line says how many there are already, by `what` they are called.
+    FormatError where something else is in the path of a result, unless that may be overwritten.
     """
     left: set[Path] = set()
     for folder in dict.fromkeys(result.written.parent for result in results):
@@ -430,8 +409,6 @@ def make_results(
         work: A function of a module, or a `functools.partial` of one. In this process it may raise what ends all.
         batches: What each of its calls makes, all of it unfinished.
         jobs: How many processes, or "ray" for a cluster, whose machines must see the same files.
-        what: The stage for `report`.
-        report: Called with a stage's name and the share done.
 
     Returns:
         The exit status: 1 where a result failed.
@@ -481,21 +458,6 @@ def run_results(
 
 def _worked(work: Work[AnyResult], batch: list[AnyResult]) -> list[str]:
     return list(work(batch))
-
-
-def check_stages(without: tuple[str, ...]) -> None:
-    """Raise OptionError unless all these are names of stages."""
-    for name in without:
-        if name not in _STAGES:
-            raise OptionError(f"--without names no stage '{name}'; there are {', '.join(_STAGES)}")
-
-
-def fitting_stages(without: tuple[str, ...], shape: bool = False) -> Stages | None:
-    """The stages of fitting except those named, or None for the default; `shape` is one where motions are made."""
-    check_stages(without)
-    if not without:
-        return None
-    return replace(Stages(shape=shape), **{name.replace("-", "_"): False for name in without})
 
 
 def wrote(path: Path, note: str = "") -> None:
