@@ -187,6 +187,7 @@ def test_every_command(verb, tmp_path, monkeypatch, capsys):
         assert status == 0 or lines or f"bunraku {verb} --help" in said[-1] + said[-2] or verb == "doctor", (kind, said)
         for line in lines:
             is_sentence(line, "command")
+    print(f"{len(values)} calls of {verb}")
     assert sorted(path.name for path in tmp_path.iterdir() if path.name.startswith(("no", "..", "x"))) == []
 
 
@@ -201,20 +202,27 @@ def test_every_function_of_python(name, tmp_path, monkeypatch):
     given = {"character": cube, "prompt": "walks", "name": "person", "path": tmp_path / "out.glb", "seconds": 0.5,
              "steps": 1, "candidates": 1, "motion": "no.bvh", "clip": "no.glb", "names": "mixamo",
              "preset": "unity", "program": "unity", "clips": {}}  # fmt: skip
-    known = inspect.signature(function).parameters
+    known, count = inspect.signature(function).parameters, 0
     needed = {key: given.get(key, "walks") for key, one in known.items() if one.default is one.empty or key in given}
     if name not in ("transfer", "load_motion"):
         needed.pop("clip", None) if "clip" in known and known["clip"].default is not inspect.Parameter.empty else None
+    for given in ({}, {**needed, "wheels": 4}):
+        count += 1
+        with pytest.raises(bunraku.BunrakuError) as error:
+            function(**given)
+        is_sentence(str(error.value), "python")
     for key, one in known.items():
         if one.kind is one.VAR_KEYWORD or key == "progress":
             continue
         for value in ("", [], object(), 5, np.float32("nan"), *HOSTILE[:4]):
             if key in ("seconds", "steps", "candidates", "fps", "seed") and value == 5:
                 continue  # which is valid, and work
+            count += 1
             try:
                 function(**{**needed, key: value})
             except bunraku.BunrakuError as error:
                 is_sentence(str(error), "python")
+    print(f"{count} calls of {name}")
     assert not [path for path in tmp_path.rglob("*") if path.name.startswith("..")]
 
 
@@ -232,12 +240,15 @@ def test_every_node(tmp_path, monkeypatch):
     spec.loader.exec_module(nodes)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a.glb").write_bytes(b"glTF")
+    count = 0
     for node in nodes.NODE_CLASS_MAPPINGS.values():
         asked = node.INPUT_TYPES()["required"]
         valid = {name: what[1]["default"] if len(what) > 1 else what[0][0] for name, what in asked.items()}
         valid |= {"model_file": "a.glb", "address": "http://localhost:1/#token=x"}
         for name in asked:
             for value in ("", None, 5, *HOSTILE[:4]):
+                count += 1
                 with pytest.raises(ValueError) as error:
                     getattr(node(), node.FUNCTION)(**{**valid, name: value})
                 is_sentence(str(error.value), "node")
+    print(f"{count} calls of {len(nodes.NODE_CLASS_MAPPINGS)} nodes")

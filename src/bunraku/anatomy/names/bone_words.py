@@ -145,15 +145,18 @@ def part_of_name(name: str) -> tuple[str, int, int, bool]:
         return "head_top", side, number, target
     if target and joined in ("frontleg", "backleg"):
         joined = "ik" + joined
-    for words_of in (joined, _noun_last(kept)):
-        for kind, pattern in _COMPILED:
-            if pattern.search(words_of):
-                if kind == "fingers" and words_of.startswith("middlehand"):
-                    kind = "wrist"
-                if kind == "leg" and number == 0 and words_of in ("frontleg", "midfrontleg"):
-                    kind = "arm_leg"
-                return kind, side, number, target
-    return "", side, number, target
+    words_of = joined if _kind_of(joined) else _noun_last(kept)
+    kind = _kind_of(words_of)
+    if kind == "fingers" and words_of.startswith("middlehand"):
+        kind = "wrist"
+    if kind == "leg" and number == 0 and words_of in ("frontleg", "midfrontleg"):
+        kind = "arm_leg"
+    return kind, side, number, target
+
+
+@lru_cache(maxsize=4096)  # names of a chain differ in their numbers alone
+def _kind_of(words: str) -> str:
+    return next((kind for kind, pattern in _COMPILED if pattern.search(words)), "")
 
 
 def _noun_last(words: list[str]) -> str:
