@@ -6,14 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from bunraku.anatomy.handles.repairs import (
-    DropDoubtfulLimbs,
-    EarsToHead,
-    JoinRegions,
-    Patient,
-    SeatParts,
-    SoftenTornEdges,
-)
+from bunraku.anatomy.handles.repairs import JoinRegions, Patient, SeatParts, SoftenTornEdges
 from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES
 from bunraku.core.body.reference import reference_body
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
@@ -75,33 +68,6 @@ def test_an_ear_that_was_called_a_hand_goes_back_to_the_trunk():
     assert (out[ear(position)].argmax(axis=1) == H["spine2"]).all()
     kept = ~ear(position)
     np.testing.assert_allclose(out[kept], weights[kept], atol=1e-6)
-
-
-def test_ears_are_no_arms():
-    """An ear that was called an arm, as large as one, stands on the head; the arms, which meet the trunk, stay arms."""
-    mesh = box_body()
-    position, weights = hard(
-        mesh,
-        ("head", lambda p: (p[:, 1] > 0.38) & ~ear(p)),
-        ("left_wrist", lambda p: arms(p, 1) | ear(p)),
-        ("right_wrist", lambda p: arms(p, -1)),
-    )
-    held = mended(EarsToHead(), mesh, weights)
-    top = ear(position)
-    assert held[top, H["head_top"]].min() > 0.99 and held[top, H["left_wrist"]].max() < 0.01
-    np.testing.assert_array_equal(held[arms(position, 1)], weights[arms(position, 1)])
-    np.testing.assert_array_equal(held[arms(position, -1)], weights[arms(position, -1)])
-
-
-def test_who_is_all_head_has_its_arms_there():
-    mesh = box_body()
-    _, weights = hard(
-        mesh,
-        ("head", lambda p: np.abs(p[:, 0]) < 2),
-        ("left_wrist", lambda p: arms(p, 1)),
-        ("right_wrist", lambda p: arms(p, -1)),
-    )
-    np.testing.assert_array_equal(mended(EarsToHead(), mesh, weights), weights)
 
 
 def test_a_tail_that_played_a_leg_becomes_a_tail():
@@ -171,20 +137,6 @@ def test_repairs_leave_one_handle_alone(repair):
     mesh = box_body()
     _, weights = hard(mesh)
     np.testing.assert_allclose(mended(repair, mesh, weights), weights, atol=1e-6)
-
-
-@pytest.mark.parametrize(("left", "right", "there"), [(0.3, 0.4, False), (0.3, 0.9, True), (0.9, 0.9, True)])
-def test_a_limb_that_holds_no_vertex_surely_is_not_there(left, right, there):
-    weights = np.zeros((6, HANDLE_COUNT), np.float32)
-    weights[:, H["head"]] = 1
-    for row, side, share in ((0, "left", left), (1, "right", right)):
-        weights[row, [H[f"{side}_wrist"], H[f"{side}_elbow"], H["head"]]] = [0.5 * share, 0.5 * share, 1 - share]
-    found = DropDoubtfulLimbs()(None, weights)
-    np.testing.assert_allclose(found.sum(axis=1), 1, atol=1e-6)
-    if there:
-        np.testing.assert_allclose(found, weights, atol=1e-6)
-    else:
-        np.testing.assert_allclose(found[:, H["head"]], 1)
 
 
 BUTTON, HAND = np.array([0, 0.5, 0.52]), np.array([1.06, -0.5, 0])

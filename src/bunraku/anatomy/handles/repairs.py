@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
-from bunraku.anatomy.handles.limbs import ARMS, LEGS
+from bunraku.anatomy.handles.limbs import LEGS
 from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES, HANDLE_PARENTS
 from bunraku.core.body.reference import handle_positions
 from bunraku.core.geometry.graph import mean_operator, mesh_parts
@@ -19,9 +19,7 @@ _LIMBS = [
     i for i, name in enumerate(HANDLE_NAMES) if name.startswith(("left_", "right_")) or name in ("tail", "tail_tip")
 ]
 _LEGS = [*LEGS[0], *LEGS[1]]
-_HEAD = [HANDLE_NAMES.index(name) for name in ("head", "head_top", "face", "neck")]
-_TOP = HANDLE_NAMES.index("head_top")
-_TRUNK = [HANDLE_NAMES.index(name) for name in ("pelvis", "spine1", "spine2", "spine3", "left_collar", "right_collar")]
+_SKULL = [HANDLE_NAMES.index(name) for name in ("head", "head_top", "face")]
 _TAIL, _TIP = HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")
 _LINES = lines_up(HANDLE_PARENTS)
 _SUBTREES = [[other for other, line in enumerate(_LINES) if handle in line] for handle in range(HANDLE_COUNT)]
@@ -64,59 +62,6 @@ class Repair:
     def __call__(self, body: Patient, weights: np.ndarray) -> np.ndarray:
         """The weights after it, from those before: shape (M, 30), rows sum to 1, float32."""
         raise NotImplementedError
-
-
-@dataclass(frozen=True)
-class DropDoubtfulLimbs(Repair):
-    """No limb, left and right, is there that holds no vertex surely; the other handles of its vertices share what it
-    held. Wings stay: a trace of them tells that a body flies.
-
-    Args:
-        surely: Share of some vertex that a limb holds; half, so that it is the likeliest.
-    """
-
-    surely: float = 0.5
-
-    def __call__(self, body: Patient, weights: np.ndarray) -> np.ndarray:
-        out = np.array(weights, np.float64)
-        for sides in [LEGS, ARMS, [[_TAIL, _TIP]]]:
-            if max(float(weights[:, limb].sum(axis=1).max()) for limb in sides) < self.surely:
-                out[:, np.concatenate(sides)] = 0
-        left = out.sum(axis=1, keepdims=True)
-        return np.where(left > 0, out / np.maximum(left, 1e-12), weights).astype(np.float32)
-
-
-@dataclass(frozen=True)
-class EarsToHead(Repair):
-    """What grows from a head is not an arm: ears, horns, tusks and a trunk go to the handle of the head's top.
-
-    An arm of a body with a trunk meets that trunk. A piece of an arm's region that meets the head alone moves with the
-    head; beside a larger piece that does meet the trunk it would fly about a joint that is not its own.
-
-    Args:
-        rooted: Share of what is around a piece that the head holds; chosen by eye.
-        trunk: Share of the surface that is trunk; a body that is all head has its arms there. Chosen by eye.
-        surely: A vertex belongs to an arm that holds more of it: half, so that it is the likeliest.
-    """
-
-    rooted: float = 0.9
-    trunk: float = 0.15
-    surely: float = 0.5
-
-    def __call__(self, body: Patient, weights: np.ndarray) -> np.ndarray:
-        if body.areas @ weights[:, _TRUNK].sum(axis=1) < self.trunk * body.areas.sum():
-            return weights
-        out, edges = np.array(weights, np.float64), body.edges
-        for arm in ARMS:
-            label = body.pieces(weights[:, arm].sum(axis=1) > self.surely)
-            for piece in (label == number for number in np.unique(label[label >= 0])):
-                around = out[_rim(edges, piece)].sum(axis=0)
-                around[arm] = 0
-                if around.sum() > 0 and around[_HEAD].sum() > self.rooted * around.sum():
-                    near = piece | (np.bincount(edges[piece[edges].any(axis=1)].ravel(), minlength=len(piece)) > 0)
-                    out[near, _TOP] += out[near][:, arm].sum(axis=1)
-                    out[np.ix_(near, arm)] = 0
-        return (out / out.sum(axis=1, keepdims=True)).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -254,9 +199,7 @@ class SoftenTornEdges(Repair):
         return out
 
 
-REPAIRS: tuple[Repair, ...] = (
-    DropDoubtfulLimbs(), EarsToHead(), JoinRegions(), SoftenTornEdges(),
-)  # fmt: skip
+REPAIRS: tuple[Repair, ...] = (JoinRegions(), SoftenTornEdges())
 """All repairs, in the order in which they run."""
 
 
@@ -375,10 +318,9 @@ class SeatParts:
         alone = np.flatnonzero(single[label])
         means_alone = means(alone, areas[alone], mesh.push_surface(weights, alone))
         rows[single] = means_alone[single]
-        skull = _HEAD[:3]
-        heads = means_alone[:, skull].sum(axis=1) if means_alone.shape[1] == HANDLE_COUNT else np.zeros(count)
+        heads = means_alone[:, _SKULL].sum(axis=1) if means_alone.shape[1] == HANDLE_COUNT else np.zeros(count)
         hair = single & (means_alone.max(axis=1) < self.clear[1]) & (heads > self.clear[0])  # whatever shares it
-        rows[hair] = np.eye(means_alone.shape[1])[min(skull[0], means_alone.shape[1] - 1)]
+        rows[hair] = np.eye(means_alone.shape[1])[min(_SKULL[0], means_alone.shape[1] - 1)]
         rows **= self.power
         rows /= np.maximum(rows.sum(axis=1, keepdims=True), 1e-30)
         share_of_row = np.where(sits, 1.0, 0.0)
