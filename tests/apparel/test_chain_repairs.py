@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from bunraku.apparel.chains.body_collisions import PushOutOfBody, SkirtsOverLegs
+from bunraku.apparel.chains.body_collisions import PushOutOfBody
 from bunraku.apparel.chains.chain import Chain, LaidShape, parameters_of_laid
 from bunraku.apparel.chains.chain_rig import Chained, with_chains
 from bunraku.apparel.chains.cloth_repairs import DressedChains, MendTears, SmoothNeighbours, on_skin
@@ -35,7 +35,8 @@ def dressed():
     legs = [ring + [x, y, 0] for x in (0.03, -0.03) for y in (0.9, 0.75, 0.6)]
     x, y = np.meshgrid([-0.03, 0.03, 0.09], [1.0, 0.9, 0.8, 0.7, 0.6])
     panel = np.stack([x, y, np.full_like(x, 0.1)], axis=-1).reshape(-1, 3)
-    rest = np.concatenate([*legs, panel]).astype(np.float32)
+    ends = np.array([[0.0, 0, 0], [0, 1.6, 0]])
+    rest = np.concatenate([*legs, ends, panel]).astype(np.float32)
     body = len(rest) - len(panel)
     owner = np.zeros(len(rest), int)
     owner[:24], owner[24:48] = HIP, JOINT_NAMES.index("right_hip")
@@ -70,7 +71,7 @@ def moved(raised: float):
     rotations[:, HIP] = matrix_from_axis_angle(np.array([-raised, 0.0, 0.0]))
     given = RigAnimation(character, rotations, np.zeros((FRAMES, JOINT_COUNT + 2, 3)), 20.0)
     made = Chained(character, (chain,), (), (), ())
-    found = SkirtsOverLegs()(given, DressedChains(made, clothed, JOINTS, bare))
+    found = PushOutOfBody()(given, DressedChains(made, clothed, JOINTS, bare))
     return tuple(one.vertices()[:, clothed.apparel] for one in (given, found))
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from bunraku.apparel.body import BAND, CELL, OUTSIDE, Unposed, body_depth
+from bunraku.apparel.body import PosedBody, surface_points
 from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.apparel.fitting import fitted_clothes
 from bunraku.apparel.layers import Layers
@@ -14,7 +14,6 @@ from bunraku.apparel.parts import Parts
 from bunraku.core.body.layout import JOINT_COUNT, JOINT_NAMES
 from bunraku.core.body.reference import reference_body
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
-from bunraku.core.geometry.surface import winding_numbers
 
 
 def tube(radius, low, high, around=24, rings=12):
@@ -216,56 +215,51 @@ def test_apparel_that_does_not_hang_over_legs_is_left_alone(clothed):
 RADIUS = 0.3
 
 
-@pytest.fixture(scope="module")
-def ball():
-    mesh = trimesh.creation.icosphere(4, RADIUS)
-    weights = np.zeros((len(mesh.vertices), JOINT_COUNT), np.float32)
-    weights[:, 0] = 1
-    none = np.zeros(len(mesh.vertices), bool)
-    return body_depth(np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces), weights, none)
-
-
-def test_distances_from_a_ball(ball):
-    random = np.random.default_rng(0)
-    points = random.uniform(-0.4, 0.4, (500, 3)).astype(np.float32)
-    found, slope = ball.at(points)
-    true = np.linalg.norm(points, axis=1) - RADIUS
-    wanted = np.clip(true, -BAND, BAND)
-    near = (true > -BAND + 1.8 * CELL) & (true < (OUTSIDE - 1.8) * CELL)
-    assert np.abs(found - wanted)[near].max() < 0.1 * CELL
-    inside = true < 0
-    assert np.abs(found - wanted)[inside].max() < CELL and np.abs(found - wanted).max() < 2 * CELL
-    outward = points[near] / np.linalg.norm(points[near], axis=1, keepdims=True)
-    assert (slope[near] * outward).sum(axis=1).min() > 0.95
-    # beyond the grid it is as far as anything is, and its middle is inside although no face is near
-    assert ball.at(np.array([[9.0, 0, 0], [0, 0, 0]], np.float32))[0].tolist() == pytest.approx([BAND, -BAND])
-
-
-def test_points_are_pushed_out_in_any_pose(ball):
-    turn = matrix_from_axis_angle(np.array([0.4, -1.0, 0.7]))
-    shift = np.array([1.0, 2.0, -0.5])
-    rest = np.array([[0.25, 0, 0], [0, 0.31, 0], [0, 0, 0.26], [0, 0.35, 0.1]])
-    points = (rest @ turn.T + shift).astype(np.float32)
-    blend = np.repeat(np.concatenate([turn, shift[:, None]], axis=1)[None], 4, axis=0)
-    unposed = Unposed.of(blend, np.zeros(4, np.int64))
-    gap = np.array([0.02, 0.02, -0.05, 0.02], np.float32)
-    moved = (ball.pushed(points, unposed, gap, 0.1) - shift) @ turn
-    assert np.linalg.norm(moved, axis=1) == pytest.approx([0.32, 0.32, 0.26, np.hypot(0.35, 0.1)], abs=2e-3)
-    np.testing.assert_allclose(moved[3], rest[3], atol=1e-6)
-    np.testing.assert_allclose(ball.pushed(points, unposed, gap, 0.005)[0], points[0], atol=1e-6)  # too deep
-
-
-def test_a_body_with_a_hole_is_closed_in_the_middle_of_it():
-    """A ball without a cap, whose inside is told from its outside by winding numbers at every point of the grid."""
+def ball(flipped=False, without_cap=False):
+    """A ball as a body of one joint."""
     mesh = trimesh.creation.icosphere(4, RADIUS)
     vertices, faces = np.asarray(mesh.vertices, np.float32), np.asarray(mesh.faces)
-    faces = faces[(vertices[faces][:, :, 1] < 0.8 * RADIUS).all(axis=1)]
-    weights = np.zeros((len(vertices), JOINT_COUNT), np.float32)
-    weights[:, 0] = 1
-    grid = body_depth(vertices, faces, weights, np.zeros(len(vertices), bool))
-    shape = np.array(grid.values.shape)
-    points = grid.low + grid.cell * np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1)
-    near = np.abs(grid.values) < BAND - CELL
-    inside = np.abs(winding_numbers(points[near].astype(np.float64), vertices, faces)) > 0.5
-    assert inside.any() and not inside.all()
-    assert np.mean((grid.values[near] < 0) == inside) > 0.9995
+    if without_cap:
+        faces = faces[(vertices[faces][:, :, 1] < 0.8 * RADIUS).all(axis=1)]
+    weights = np.eye(JOINT_COUNT, dtype=np.float32)[np.zeros(len(vertices), int)]
+    none = np.zeros(0, np.float32)
+    return ClothedCharacter(
+        vertices, faces[:, ::-1] if flipped else faces, np.zeros((JOINT_COUNT, 3)), weights,
+        np.zeros(len(vertices), bool), np.full(len(vertices), -1), none, none,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("flipped, without_cap", [(False, False), (True, False), (False, True)])
+def test_distances_from_a_ball(flipped, without_cap):
+    """Whichever way round its faces are, and beside a hole in it."""
+    points = surface_points(ball(flipped, without_cap), 3000)
+    body = PosedBody(points.rest, points.normals)
+    rng = np.random.default_rng(0)
+    ways = rng.normal(size=(400, 3))
+    ways[:, 1] = -np.abs(ways[:, 1])
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    away = rng.uniform(-0.1, 0.1, 400)
+    found, out, beside = body.near(((RADIUS + away)[:, None] * ways).astype(np.float32)).of(
+        (RADIUS + away)[:, None] * ways
+    )
+    assert np.abs(found - away).max() < 0.006 and np.abs(found - away).mean() < 0.002
+    assert (out * ways).sum(axis=1).min() > 0.97 and (beside < 0.04 + np.abs(away)).all()
+
+
+def test_points_are_pushed_out_in_any_pose_and_no_farther_than_they_were():
+    points = surface_points(ball(), 3000)
+    turn, shift = matrix_from_axis_angle(np.array([0.4, -1.0, 0.7])), np.array([1.0, 2.0, -0.5])
+    affine = np.tile(np.concatenate([turn, shift[:, None]], axis=1), (JOINT_COUNT, 1, 1))
+    body = PosedBody(*points.posed(affine))
+    rest = np.array([[0.25, 0, 0], [0, 0.31, 0], [0, 0, 0.26], [0, 0.35, 0.1]])
+    gap = np.array([0.02, 0.02, -0.05, 0.02])
+    moved = rest @ turn.T + shift
+    near = body.near(moved)
+    lack, way, clear = near.push(moved, gap, 0.1, 1.0)
+    moved = (moved + lack[:, None] * way - shift) @ turn
+    assert np.linalg.norm(moved, axis=1) == pytest.approx([0.32, 0.32, 0.26, np.hypot(0.35, 0.1)], abs=4e-3)
+    assert clear.tolist() == [False, False, False, True]
+    assert near.push(rest @ turn.T + shift, gap, 0.005, 1.0)[0][0] == 0  # too deep
+    # at rest: clear of it, in it a little, and so deep that it does not count
+    gaps = PosedBody(points.rest, points.normals).gap(np.array([[0.4, 0, 0], [0.29, 0, 0], [0.2, 0, 0]]), 0.005, 1.0)
+    assert gaps[0] == 0.005 and gaps[1] == pytest.approx(-0.01, abs=4e-3) and gaps[2] == -np.inf

@@ -1,14 +1,12 @@
-"""The body under apparel: one set of joints for all, its surface without apparel, its points, and depth in it."""
+"""The body under apparel: one set of joints for all, points of its surface, and the distance from it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from hashlib import blake2b
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, label, maximum_filter, minimum_filter
-from scipy.sparse import csr_matrix
+from scipy.spatial import cKDTree
 
 from bunraku.anatomy.handles.networks import farthest_points
 from bunraku.anatomy.names.bone_names import NO_HANDLE
@@ -18,10 +16,8 @@ from bunraku.core.animation import RigAnimation, bone_order
 from bunraku.core.avatars import mmd_model
 from bunraku.core.body.layout import HANDLE_PARENTS, JOINT_COUNT, JOINT_PARENTS
 from bunraku.core.character import Character
-from bunraku.core.geometry.closest import surface_distances
-from bunraku.core.geometry.rotations import adjugates
-from bunraku.core.geometry.surface import split_long_edges, vertex_normals, winding_numbers
-from bunraku.core.skinning import skin
+from bunraku.core.geometry.graph import clean_mesh, mesh_parts, unique_edges
+from bunraku.core.geometry.surface import vertex_normals
 from bunraku.errors import CharacterError
 from bunraku.retarget.rig_parts import RigParts
 
@@ -132,269 +128,92 @@ def eq4_transforms(transforms: np.ndarray, joints: np.ndarray) -> np.ndarray:
     return out
 
 
-_MOST_FACES = 12_000
+PLANES = 4  # nearest points of a surface whose planes say how far something is from it; chosen
+
+# Lengths over the character's size [m]. All were chosen by eye.
+BAND = 0.09  # what is farther from a limb is not near it
+ASIDE = 0.04  # so far beside the nearest point of a surface, what is near it is not beyond its edge
+BURIED = 0.02  # what is deeper at rest does not count
 
 
 @dataclass(frozen=True, eq=False)
-class BodyVolume:
-    """The surface of a character without what physics move, with fewer faces."""
+class Planes:
+    """What of a surface is nearest to each of K points: C points of it, and the ways out there."""
 
-    rest: np.ndarray  # vertices in the rest pose [m], shape (B, 3)
-    faces: np.ndarray  # shape (F, 3), int64
-    weights: np.ndarray  # for the 22 joints, shape (B, 22)
+    positions: np.ndarray  # [m], shape (K, C, 3)
+    normals: np.ndarray  # shape (K, C, 3)
 
-    @classmethod
-    def of(cls, body: UnifiedBody, apparel: np.ndarray, most_faces: int = _MOST_FACES) -> BodyVolume:
-        """The volume of a body and its mask (V,), bool; otherwise as `of_mesh`."""
-        character = body.parts.character
-        return cls.of_mesh(character.vertices, character.faces, body.weights, apparel, character.name, most_faces)
+    def take(self, rows: np.ndarray) -> Planes:
+        """The same for some of the points."""
+        return Planes(self.positions[rows], self.normals[rows])
 
-    @classmethod
-    def of_mesh(
-        cls, vertices: np.ndarray, faces: np.ndarray, weights: np.ndarray, apparel: np.ndarray, name: str,
-        most_faces: int = _MOST_FACES,
-    ) -> BodyVolume:  # fmt: skip
-        """The volume of a rest mesh [m] with weights for the 22 joints (V, 22) and its mask (V,), bool. A body with
-        more faces than `most_faces` is simplified to about so many, which moves its surface by a millimetre or two.
-
-        Raises:
-            CharacterError: All of the character is apparel.
+    def of(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Signed distance of points (K, 3), the mean of those from the planes by nearness [m], shape (K,); the way out,
+        shape (K, 3); and how far beside the nearest of them each point is [m], shape (K,).
         """
-        faces = faces[~apparel[faces].any(axis=1)]
-        if not len(faces):
-            raise CharacterError(f"{name}: the whole mesh counts as apparel, so no body is left; mark less of it")
-        used = np.unique(faces)
-        points, index = np.unique(np.round(vertices[used].astype(np.float64), 6), axis=0, return_inverse=True)
-        numbering = np.full(len(vertices), -1)
-        numbering[used] = index.ravel()
-        shares = _means(weights[used], index.ravel(), len(points))
-        faces = numbering[faces]
-        faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
-        if len(faces) <= most_faces:
-            return cls(points, np.ascontiguousarray(faces, np.int64), shares)
-        import fast_simplification
+        away = points[:, None] - self.positions
+        height = np.einsum("kca,kca->kc", away, self.normals)
+        square = np.einsum("kca,kca->kc", away, away)
+        share = 1 / np.square(square + 1e-6)
+        share /= share.sum(axis=1, keepdims=True)
+        way = np.einsum("kc,kca->ka", share, self.normals)
+        way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-6)
+        nearest = np.arange(len(points)), square.argmin(axis=1)
+        beside = np.sqrt(np.maximum(square[nearest] - np.square(height[nearest]), 0))
+        return np.einsum("kc,kc->k", share, height), way, beside
 
-        few, few_faces, collapses = fast_simplification.simplify(
-            points.astype(np.float32), faces.astype(np.int32), target_count=most_faces, return_collapses=True
-        )
-        few, few_faces, kept = fast_simplification.replay_simplification(
-            points.astype(np.float32), faces.astype(np.int32), collapses
-        )
-        return cls(few.astype(np.float64), np.ascontiguousarray(few_faces, np.int64), _means(shares, kept, len(few)))
-
-    def posed(self, transforms: np.ndarray) -> np.ndarray:
-        """Vertices of frames [m], shape (N, B, 3), by transforms of the joints as `eq4_transforms` gives them."""
-        return skin(self.rest.astype(np.float32), self.weights, transforms)
-
-
-def _means(values: np.ndarray, groups: np.ndarray, count: int) -> np.ndarray:
-    each = np.arange(len(groups))
-    out = csr_matrix((np.ones(len(groups)), (groups, each)), (count, len(groups))) @ values.astype(np.float64)
-    return np.asarray(out / np.maximum(out.sum(axis=1, keepdims=True), 1e-12), np.float32)
-
-
-CELL = 0.015  # of the grid, over the character's size [m]; chosen by eye, half the width of a wrist
-BAND = 6 * CELL  # distances beyond this are cut to it, over the character's size [m]
-_MOST_CELLS = 2_000_000
-_FACES = 6_000
-OUTSIDE = 2.5  # cells from the body beyond which distances outside of it are good to a cell or two; by definition
-_ROUGH = 1.5  # how far a surface may be from the cells of its triangles' middles [cells]; chosen by eye
-CLOSE = 1.0  # cells from the surface within which every point is tested
-_KEPT = 3  # grids of the last bodies; one takes up to 8 MB
-
-
-@dataclass(frozen=True, eq=False)
-class Unposed:
-    """The way back to the rest pose for M points of a frame: `back @ (x - shift)`."""
-
-    back: np.ndarray  # shape (M, 3, 3)
-    shift: np.ndarray  # [m], shape (M, 3)
-    joint: np.ndarray  # the joint that holds the body there, shape (M,)
-
-    @classmethod
-    def of(cls, blend: np.ndarray, joint: np.ndarray) -> Unposed:
-        """From the affine transforms (M, 3, 4) and the joints (M,) of the body nearest to each point."""
-        turn = blend[..., :3]
-        other = adjugates(turn)
-        volume = (turn[:, 0] * other[:, :, 0]).sum(axis=-1)
-        return cls(other / np.where(np.abs(volume) > 0.05, volume, 1.0)[:, None, None], blend[..., 3], joint)
-
-    def __call__(self, points: np.ndarray) -> np.ndarray:
-        """Points of the pose in the rest pose [m], shape (M, 3)."""
-        return self.columns(points).T
-
-    def columns(self, points: np.ndarray) -> np.ndarray:
-        """The same, one row for each axis, shape (3, M)."""
-        return np.asarray(np.einsum("mab,mb->am", self.back, points - self.shift))
-
-    def take(self, rows: np.ndarray) -> Unposed:
-        """The same for some of the points, or for others that go with them."""
-        return Unposed(self.back.take(rows, axis=0), self.shift.take(rows, axis=0), self.joint.take(rows))
-
-
-@dataclass(frozen=True, eq=False)
-class BodyDepth:
-    """The signed distance from a body in its rest pose, above 0 outside."""
-
-    low: np.ndarray  # where the grid begins [m], shape (3,)
-    cell: float  # width of a cell [m]
-    values: np.ndarray  # distances at its corners [m], shape (X, Y, Z), float32
-
-    @cached_property
-    def _least(self) -> np.ndarray:
-        """The least value at the corners of the cell that begins at each corner, flat: no value in it is below that."""
-        out = self.values
-        for axis in range(3):
-            turned = np.moveaxis(out, axis, 0)
-            out = np.moveaxis(np.concatenate([np.minimum(turned[:-1], turned[1:]), turned[-1:]]), 0, axis)
-        return np.asarray(out.reshape(-1))
-
-    @cached_property
-    def _steps(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Steps in the flat grid along each axis and to the eight corners of a cell; its last position [cells]."""
-        shape = np.array(self.values.shape)
-        steps = np.array([shape[1] * shape[2], shape[2], 1])
-        return steps, _CORNERS @ steps, (shape - 1.001).astype(np.float32)[:, None]
-
-    def at(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Distance of points of the rest pose [m], shape (M,), and its gradient, shape (M, 3): linear within a cell."""
-        return self._linear(*self._cells(points.T))
-
-    def _cells(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """First corners of the cells with points (3, M), shape (M,), and positions in them, from 0 to 1, (3, M)."""
-        position = (points - self.low[:, None]).astype(np.float32, copy=False)
-        position /= np.float32(self.cell)
-        np.maximum(position, 0, out=position)
-        np.minimum(position, self._steps[2], out=position)
-        first = position.astype(np.int64)
-        position -= first
-        x, y, z = first
-        steps = self._steps[0]
-        return x * steps[0] + y * steps[1] + z, position
-
-    def _linear(self, corner: np.ndarray, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Distance and gradient at positions in cells, as `_cells` gives them."""
-        v = self.values.reshape(-1)[self._steps[1][:, None] + corner]
-        x, y, z = share
-        # along z, then y, then x
-        dz = v[1::2] - v[::2]
-        vz = v[::2] + z * dz
-        dy, dzy = vz[1::2] - vz[::2], dz[::2] + y * (dz[1::2] - dz[::2])
-        vy = vz[::2] + y * dy
-        dx = vy[1] - vy[0]
-        slope = np.stack([dx, dy[0] + x * (dy[1] - dy[0]), dzy[0] + x * (dzy[1] - dzy[0])], axis=1)
-        return vy[0] + x * dx, slope / np.float32(self.cell)
-
-    def push(self, points: np.ndarray, unposed: Unposed, gap: np.ndarray, most: float) -> tuple[np.ndarray, np.ndarray]:
-        """What moves points of a pose out of the body until they are as far from it as `gap`: the rows of the moved
-        points (P,), and by how much [m], shape (P, 3).
+    def push(
+        self, points: np.ndarray, gap: np.ndarray, most: float, size: float
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What points (K, 3) lack until they are as far from the surface as `gap`.
 
         Args:
-            points: [m], shape (M, 3).
-            unposed: Their way back.
-            gap: [m], below 0 where a point may be inside, shape (M,).
-            most: Points that would move by more stay: they are on the wrong side of something thin [m].
+            points: [m], shape (K, 3).
+            gap: [m], below 0 where a point may be inside, shape (K,).
+            most: Points that lack more stay: they are on the wrong side of something thin [m].
+            size: Of the character, over `clothed.SIZE`.
+
+        Returns:
+            What each lacks, shape (K,), 0 where it stays [m]; the ways out, shape (K, 3); and whether a point is so far
+                out that it will not come in while others are moved, shape (K,).
         """
-        corner, share = self._cells(unposed.columns(points))
-        # mostly few are near, and all corners are read for these alone
-        rows = np.flatnonzero(self._least[corner] < gap)
-        if not len(rows):
-            return rows, np.zeros((0, 3), np.float32)
-        distance, slope = self._linear(corner[rows], share[:, rows])
-        step = gap[rows] - distance
-        moved = np.flatnonzero((step > 0) & (step < most))
-        rows = rows[moved]
-        shift = np.einsum("mba,mb->ma", unposed.back[rows], slope[moved])
-        length = np.maximum(np.einsum("ma,ma->m", shift, shift), 0.1)
-        return rows, (step[moved] / length)[:, None] * shift
-
-    def pushed(self, points: np.ndarray, unposed: Unposed, gap: np.ndarray, most: float) -> np.ndarray:
-        """Points moved out of the body, shape (M, 3); arguments as of `push`."""
-        rows, step = self.push(points, unposed, gap, most)
-        out = np.array(points)
-        out[rows] += step
-        return out
+        distance, way, beside = self.of(points)
+        lack = gap - distance
+        moves = (lack > 0) & (lack < most) & (beside < ASIDE * size + np.abs(distance))
+        return np.where(moves, lack, 0), way, lack < -ASIDE * size
 
 
-_grids: dict[bytes, BodyDepth] = {}
-_CORNERS = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+@dataclass(frozen=True, eq=False)
+class PosedBody:
+    """Points of a body in a frame [m], and the ways out of it there, both (B, 3)."""
 
+    positions: np.ndarray
+    normals: np.ndarray
 
-def body_depth(
-    vertices: np.ndarray, faces: np.ndarray, weights: np.ndarray, apparel: np.ndarray, scale: float = 1.0
-) -> BodyDepth | None:
-    """The grid of a body by its rest mesh [m], weights for the 22 joints (V, 22) and mask (V,), and the scale as of
-    `ClothedCharacter`; None where all of it is apparel. Those of the last bodies are kept, because apparel is often
-    made again for the same body.
-    """
-    if not len(faces[~apparel[faces].any(axis=1)]):
-        return None
-    arrays = (vertices, faces, weights, apparel, np.array(scale))
-    key = b"".join(blake2b(part.tobytes(), digest_size=16).digest() for part in arrays)
-    grid = _grids.get(key)
-    if grid is None:
-        grid = _grid(vertices, faces, weights, apparel, scale)
-        while len(_grids) >= _KEPT:
-            _grids.pop(next(iter(_grids)), None)
-        _grids[key] = grid
-    return grid
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(self.positions)
 
+    def planes(self, points: np.ndarray, within: float = np.inf) -> tuple[np.ndarray, np.ndarray]:
+        """The rows of points (M, 3) that are as near as `within` [m], shape (K,), and what is nearest to each, rows of
+        the body, shape (K, C)."""
+        gap, near = self._tree.query(points, min(PLANES, len(self.positions)))
+        gap, near = gap.reshape(len(points), -1), near.reshape(len(points), -1)
+        rows = np.flatnonzero(gap[:, 0] < within)
+        return rows, near[rows]
 
-def _grid(vertices: np.ndarray, faces: np.ndarray, weights: np.ndarray, apparel: np.ndarray, scale: float) -> BodyDepth:
-    volume = BodyVolume.of_mesh(vertices, faces, weights, apparel, "the mesh", _FACES)
-    band = BAND * scale
-    low = volume.rest.min(axis=0) - band
-    extent = volume.rest.max(axis=0) + band - low
-    cell = max(CELL * scale, float(np.cbrt(np.prod(extent) / _MOST_CELLS)))
-    shape = tuple(int(count) for count in np.ceil(extent / cell).astype(np.int64) + 1)
-    corners = np.stack(np.meshgrid(*(np.arange(count) for count in shape), indexing="ij"), axis=-1)
-    points = low + cell * corners.reshape(-1, 3)
-    rest, triangles, _ = split_long_edges(np.asarray(volume.rest, np.float64), np.asarray(volume.faces, np.int64), cell)
-    bare = np.ones(shape, bool)
-    middle = np.round((rest[triangles].mean(axis=1) - low) / cell).astype(np.int64)
-    bare[tuple(np.clip(middle, 0, np.array(shape) - 1).T)] = False
-    # what lies farther than this from the cells of all middles is farther than `OUTSIDE` from all faces
-    about = distance_transform_edt(bare).reshape(-1)
-    near_surface = about <= OUTSIDE + _ROUGH
-    gap = np.where(about * cell <= band, about * cell, np.inf)
-    gap[near_surface] = surface_distances(points[near_surface], rest, triangles, cell, np.inf)
-    inside = _inside(points, gap, cell, shape, volume)
-    # far outside it does not matter how far
-    near_surface = inside & ~near_surface & np.isfinite(gap)
-    gap[near_surface] = surface_distances(points[near_surface], rest, triangles, cell, np.inf)
-    near = np.isfinite(gap)
-    out = np.full(len(points), band, np.float32)
-    out[near] = np.minimum(gap[near], band) * np.where(inside[near], -1, 1)
-    # what is far from all faces is inside or outside as a whole
-    regions, count = label(~near.reshape(shape))
-    regions = regions.reshape(-1)
-    if count:
-        first = np.array([np.flatnonzero(regions == number + 1)[0] for number in range(count)])
-        deep = np.abs(winding_numbers(points[first], volume.rest, volume.faces)) > 0.5
-        out[np.isin(regions, np.flatnonzero(deep) + 1)] = -band
-    return BodyDepth(low.astype(np.float32), float(cell), out.reshape(shape))
+    def near(self, points: np.ndarray) -> Planes:
+        """What is nearest to each point (K, 3)."""
+        _, near = self.planes(points)
+        return Planes(self.positions[near], self.normals[near])
 
-
-def _inside(points: np.ndarray, gap: np.ndarray, cell: float, shape: tuple[int, ...], volume: BodyVolume) -> np.ndarray:
-    """Whether the points of a grid that are near the body are in it, shape (P,), by winding numbers. These jump at the
-    surface and are smooth elsewhere: of what is not close to it every second point is tested first, and the others
-    where those about them differ. Far points have infinite gaps.
-    """
-    near, close = np.isfinite(gap).reshape(shape), (gap < CLOSE * cell).reshape(shape)
-    every = np.zeros(shape, bool)
-    every[::2, ::2, ::2] = True
-    tested = near & (close | every)
-    inside = np.zeros(shape, bool)
-    inside[tested] = np.abs(winding_numbers(points[tested.reshape(-1)], volume.rest, volume.faces)) > 0.5
-    asked = tested & every
-    most, least = (filter(np.where(asked, inside, blank), size=3)
-                   for filter, blank in ((maximum_filter, False), (minimum_filter, True)))  # fmt: skip
-    alike = (most == least) & maximum_filter(asked, size=3)
-    inside = np.where(tested, inside, most & alike)
-    rest = near & ~tested & ~alike
-    if rest.any():
-        inside[rest] = np.abs(winding_numbers(points[rest.reshape(-1)], volume.rest, volume.faces)) > 0.5
-    return np.asarray(inside.reshape(-1))
+    def gap(self, points: np.ndarray, clear: float, size: float) -> np.ndarray:
+        """How near points (M, 3) may come that are there at rest [m], shape (M,): no nearer than they are, or than
+        `clear` [m], and `-inf` for those so deep in the body that they do not count.
+        """
+        distance, _, beside = self.near(points).of(points)
+        near = np.where(distance > -BURIED * size, np.minimum(distance, clear), -np.inf)
+        return np.where(beside < ASIDE * size + np.abs(distance), near, clear)
 
 
 _ROWS = 64  # rows of distances at a time: they stay in the cache
@@ -435,6 +254,31 @@ def body_points(clothed: ClothedCharacter, most: int = 512) -> BodyPoints:
         clothed.rest[rows].astype(np.float32), normals[rows].astype(np.float32), weights,
         weights.argmax(axis=1) if len(rows) else np.zeros(0, np.int64),
     )  # fmt: skip
+
+
+def surface_points(clothed: ClothedCharacter, count: int) -> BodyPoints:
+    """Points spread over the faces of a clothed character's body by area, however coarse it is; none where all of it is
+    apparel. Normals look out of every connected piece, whichever way round its faces are.
+    """
+    faces = clothed.faces[~clothed.apparel[clothed.faces].any(axis=1)]
+    corners = clothed.rest[faces].astype(np.float64)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(normals, axis=1)
+    if not area.sum() > 0:
+        none = np.zeros((0, 3), np.float32)
+        return BodyPoints(none, none, np.zeros((0, JOINT_COUNT), np.float32), np.zeros(0, np.int64))
+    clean = clean_mesh(clothed.rest, faces)
+    piece = mesh_parts(unique_edges(clean.faces, len(clean.vertices)), len(clean.vertices))[clean.index[faces[:, 0]]]
+    middle = np.stack([np.bincount(piece, area * column) for column in corners.mean(axis=1).T], axis=1)
+    middle /= np.maximum(np.bincount(piece, area), 1e-30)[:, None]
+    volume = np.bincount(piece, np.einsum("fa,fa->f", normals, corners.mean(axis=1) - middle[piece]))
+    normals *= np.where(volume < 0, -1.0, 1.0)[piece, None]
+    chosen = np.minimum(np.searchsorted(np.cumsum(area), (np.arange(count) + 0.5) / count * area.sum()), len(faces) - 1)
+    shares = np.random.default_rng(0).dirichlet(np.ones(3), count)
+    weights = np.einsum("pc,pcj->pj", shares, clothed.weights[faces[chosen]]).astype(np.float32)
+    rest = np.einsum("pc,pca->pa", shares, corners[chosen]).astype(np.float32)
+    out = normals[chosen] / np.maximum(area[chosen], 1e-30)[:, None]
+    return BodyPoints(rest, out.astype(np.float32), weights, weights.argmax(axis=1))
 
 
 def nearest_point(points: np.ndarray, positions: np.ndarray, normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.apparel.body import BodyVolume, UnifiedBody, eq4_transforms
+from bunraku.apparel.body import UnifiedBody, eq4_transforms
 from bunraku.apparel.physics.rig import ApparelRig, apparel_rig
 from bunraku.apparel.physics.simulate import simulate
 from bunraku.core.animation import RigAnimation
@@ -23,7 +23,7 @@ from bunraku.core.parallel import run_parallel
 from bunraku.core.skinning import posed_points, skin
 from bunraku.errors import BunrakuError, CharacterError
 from bunraku_lab.datasets.apparel.build import body_animation, source_character
-from bunraku_lab.datasets.apparel.checks import DEEP, deep_inside
+from bunraku_lab.datasets.apparel.checks import DEEP, BodyVolume, deep_inside
 from bunraku_lab.datasets.apparel.plan import CharacterSource
 from bunraku_lab.evaluation.report import Bar, measured_in, percent, reached_bars
 from bunraku_lab.synthetic.stock_motions import STOCK_MOTIONS, stock_motion

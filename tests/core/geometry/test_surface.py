@@ -7,7 +7,7 @@ import trimesh
 from scipy.spatial import ConvexHull, cKDTree
 from scipy.spatial.transform import Rotation
 
-from bunraku.core.geometry.closest import blend_matrix, least_distance, stars_of, surface_distances
+from bunraku.core.geometry.closest import blend_matrix, least_distance, stars_of
 from bunraku.core.geometry.graph import unique_edges
 from bunraku.core.geometry.surface import (
     extreme_points,
@@ -15,7 +15,6 @@ from bunraku.core.geometry.surface import (
     surface_points,
     vertex_areas,
     vertex_normals,
-    winding_numbers,
 )
 
 
@@ -77,24 +76,6 @@ def torn():
     random = np.random.default_rng(0)
     near = vertices[random.integers(0, len(vertices), 3000)] + random.normal(0, 0.02, (3000, 3))
     return np.concatenate([vertices, sheet]), soup, np.concatenate([random.uniform(-2, 2, (3000, 3)), near])
-
-
-def test_sums_of_clusters_are_the_sums_of_all_faces(torn):
-    vertices, faces, points = torn
-    exact = igl.winding_number(vertices, faces, points)
-    found = winding_numbers(points, vertices, faces)
-    assert np.abs(found - exact).max() < 0.02
-    sides = (np.abs(found) > 0.5) != (np.abs(exact) > 0.5)
-    assert sides.mean() < 1e-3
-
-
-def test_inside_is_one_and_outside_none():
-    ball = trimesh.creation.icosphere(3, 1.0)
-    points = np.array([[0.0, 0, 0], [0.9, 0, 0], [1.1, 0, 0], [50.0, 3, 1]])
-    assert winding_numbers(points, np.asarray(ball.vertices), np.asarray(ball.faces)) == pytest.approx(
-        [1, 1, 0, 0], abs=5e-3
-    )
-    assert winding_numbers(points[:0], np.asarray(ball.vertices), np.asarray(ball.faces)).shape == (0,)
 
 
 def test_corners_of_a_box_are_its_extreme_points():
@@ -166,13 +147,3 @@ def test_least_distance_is_that_of_all_pairs():
         want = np.linalg.norm(one[:, None] - other[None], axis=-1).min()
         assert abs(least_distance(cKDTree(one), other) - want) < 1e-12
     assert least_distance(cKDTree(one), one) == 0
-
-
-def test_distances_from_anywhere_are_those_that_libigl_finds():
-    points, _, vertices, faces, _ = case()
-    points = np.concatenate([points, np.random.default_rng(1).uniform(-2, 2, (2000, 3))])
-    theirs = np.sqrt(igl.point_mesh_squared_distance(points, vertices, faces)[0])
-    found = surface_distances(points, vertices, faces, 0.1, 0.5)
-    near = theirs < 0.4
-    assert np.abs(found - theirs)[near].max() < 0.005 and np.quantile(np.abs(found - theirs)[near], 0.99) < 1e-6
-    assert np.isinf(found[theirs > 0.6]).all()

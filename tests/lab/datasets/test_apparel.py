@@ -10,7 +10,7 @@ import pytest
 import trimesh
 from safetensors.numpy import load_file, save_file
 
-from bunraku.apparel.body import BodyVolume, UnifiedBody, eq4_transforms
+from bunraku.apparel.body import UnifiedBody, eq4_transforms
 from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.apparel.physics.simulate import simulate
 from bunraku.cli import main
@@ -22,7 +22,7 @@ from bunraku.errors import FormatError, OptionError
 from bunraku_lab.datasets.apparel import ApparelData
 from bunraku_lab.datasets.apparel import build as building
 from bunraku_lab.datasets.apparel.build import record
-from bunraku_lab.datasets.apparel.checks import PushOut, deep_inside, standing_out
+from bunraku_lab.datasets.apparel.checks import BodyVolume, PushOut, deep_inside, standing_out
 from bunraku_lab.datasets.apparel.plan import (
     MotionSource,
     character_split,

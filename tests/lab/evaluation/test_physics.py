@@ -7,7 +7,7 @@ import igl
 import numpy as np
 import pytest
 
-from bunraku.apparel.body import BodyVolume, UnifiedBody
+from bunraku.apparel.body import UnifiedBody
 from bunraku.apparel.mask import apparel_mask
 from bunraku.apparel.physics.rig import apparel_rig
 from bunraku.cli import main
@@ -15,7 +15,7 @@ from bunraku.core.animation import RigAnimation
 from bunraku.core.body.reference import reference_body
 from bunraku.core.skinning import skin
 from bunraku.errors import CharacterError
-from bunraku_lab.datasets.apparel.checks import deep_inside
+from bunraku_lab.datasets.apparel.checks import BodyVolume, deep_inside
 from bunraku_lab.evaluation.physics import PHYSICS_BARS, apparel_chains, chain_lengths, measure_physics
 from bunraku_lab.synthetic.samples import make_sample
 from bunraku_lab.synthetic.stock_motions import STOCK_MOTIONS, stock_motion

@@ -65,18 +65,12 @@ class SmoothNeighbours:
             return animation
         rotations = np.array(animation.rotations, np.float64)
         turns = [axis_angle_from_matrix(rotations[:, chain.bones]) for chain in chains]
-        beside: list[list[tuple[int, float]]] = [[] for _ in chains]
-        for first, second, share in near:
-            weight = share * dict(self.alike).get(chains[first].kind, self.others)
-            beside[first].append((second, weight))
-            beside[second].append((first, weight))
+        weights = dict(self.alike)
+        pairs = [(one, other, share * weights.get(chains[one].kind, self.others)) for one, other, share in near]
         sags = _sags(turns, chains)
         turns = [turn - sags.get(number, 0.0) for number, turn in enumerate(turns)]
         for _ in range(self.passes):
-            turns = [
-                _mean(turn, [(turns[other], weight) for other, weight in others])
-                for turn, others in zip(turns, beside, strict=True)
-            ]
+            turns = averaged_turns(turns, pairs)
         for number, (chain, turn) in enumerate(zip(chains, turns, strict=True)):
             rotations[:, chain.bones] = matrix_from_axis_angle(turn + sags.get(number, 0.0))
         return replace(animation, rotations=rotations)
@@ -104,14 +98,16 @@ def _sags(turns: Sequence[np.ndarray], chains: Sequence[Chain]) -> dict[int, np.
     return out
 
 
-def _mean(turns: np.ndarray, others: list[tuple[np.ndarray, float]]) -> np.ndarray:
-    """Rotations of the links of a chain (N, R, 3), averaged with those of as many links of others."""
-    total, weights = np.array(turns), np.ones((1, turns.shape[1], 1))
-    for other, weight in others:
-        rows = min(turns.shape[1], other.shape[1])
-        total[:, :rows] += weight * other[:, :rows]
-        weights[:, :rows] += weight
-    return np.asarray(total / weights)
+def averaged_turns(turns: Sequence[np.ndarray], pairs: Sequence[tuple[int, int, float]]) -> list[np.ndarray]:
+    """Rotations of the links of each chain (N, R, 3), averaged with as many of its neighbours: the numbers of two
+    chains each, and the weight of one to the other, which has 1 itself.
+    """
+    totals, weights = [np.array(turn) for turn in turns], [np.ones((turn.shape[1], 1)) for turn in turns]
+    for one, other, weight in [*pairs, *((second, first, weight) for first, second, weight in pairs)]:
+        rows = min(turns[one].shape[1], turns[other].shape[1])
+        totals[one][:, :rows] += weight * turns[other][:, :rows]
+        weights[one][:rows] += weight
+    return [total / weight for total, weight in zip(totals, weights, strict=True)]
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
-from bunraku.apparel.body import BodyDepth, BodyPoints, Unposed, body_depth, body_points, eq4_transforms, nearest_index
+from bunraku.apparel.body import BodyPoints, Planes, PosedBody, eq4_transforms, surface_points
 from bunraku.apparel.clothed import LEGS, ClothedCharacter
 from bunraku.apparel.learned.features import (
     LEAD_IN,
@@ -135,8 +135,7 @@ _MINORS = np.array([
 # Chosen by eye on Gene, Uka and the wardrobe.
 HELD = 0.02  # nodes as near to where their part is held do not move, over the character's size [m]
 BESIDE = 0.03  # how near to the way out through a node legs count, over the character's size [m]
-# How deep a vertex may be in the limb near its third node, over the character's size [m]; measured: docs/history.md.
-DEEP = 0.006
+STEPS = 2  # out of the body for vertices: what is near a deep one is not what is near where it comes out
 FEW = 0.25  # share of the apparel around a node that must be pushed for it to move by as much
 
 
@@ -168,7 +167,7 @@ class Safety:
 
     def __init__(
         self, clothed: ClothedCharacter, nodes: ApparelNodes, points: BodyPoints, carrier: Carrier,
-        settings: SafetySettings | None = None, depth: BodyDepth | None = None,
+        settings: SafetySettings | None = None,
     ):  # fmt: skip
         self.settings = settings or SafetySettings()
         self.points, scale = points, clothed.scale
@@ -191,16 +190,11 @@ class Safety:
             (np.concatenate([half[a], -half[b]]), (np.concatenate([a, b]), np.concatenate([number, number]))),
             shape=(len(nodes), len(self.edges)), dtype=np.float32,
         )  # fmt: skip
-        self.depth = depth or body_depth(clothed.rest, clothed.faces, clothed.weights, clothed.apparel, scale)
-        if not len(points.rest):
-            self.depth = None
-        if self.depth is not None:
+        self.body = PosedBody(points.rest, points.normals) if len(points.rest) else None
+        if self.body is not None:
             self.most = self.settings.most * scale
-            self.gap = np.minimum(self.depth.at(nodes.rest)[0], self.settings.clear * scale)
-            rest = clothed.rest[carrier.vertices].astype(np.float32)
-            self.vertex_gap = np.minimum(self.depth.at(rest)[0], -self.settings.slack * scale)
-            self.node, self.second, self.third = carrier.index[:, 0], carrier.index[:, 1], carrier.index[:, 2]
-            self.deep_gap = np.minimum(self.vertex_gap, -DEEP * scale)
+            self.gap = self.body.gap(nodes.rest, self.settings.clear * scale, scale)
+            self.vertex_gap = self.body.gap(clothed.rest[carrier.vertices], -self.settings.slack * scale, scale)
             self.around = _around(nodes, self.settings.spread * scale)
             self.scale, self.legs = scale, np.flatnonzero(np.isin(points.joint, LEGS))
             # in the rest pose the frame of the pelvis is the world's
@@ -216,41 +210,30 @@ class Safety:
             reach = self._reach(points.rest[self.legs]) if len(self.hung) else np.zeros(0)
             self.leg_gap = np.minimum(width[hung] - reach, self.settings.clear * scale)
 
-    def __call__(self, positions: np.ndarray, affine: np.ndarray) -> tuple[np.ndarray, Unposed | None]:
-        """Nodes made safe [m], (M, 3), and their way back to the rest pose; `affine` as of `Carrier.positions`."""
+    def __call__(self, positions: np.ndarray, affine: np.ndarray) -> tuple[np.ndarray, PosedBody | None]:
+        """Nodes made safe [m], (M, 3), and the body in the pose; `affine` as of `Carrier.positions`."""
         out = np.array(positions, np.float32)
-        if self.depth is None:
-            unposed = None
-        else:
-            blend = self.points.blends(affine)
-            body = self.points.placed(blend)
-            out = self._over_legs(out, affine, body)
-            unposed = self._unposed(out, blend, body)
+        if self.body is None:
+            for _ in range(self.settings.passes):
+                out = self._bounded(out)
+            return out, None
+        body = self.posed(affine)
+        out = self._over_legs(out, affine, body.positions)
+        near = body.near(out)
         for _ in range(self.settings.passes):
-            out = self.outside(self._bounded(out), unposed)
-        return out, unposed
+            out = self.outside(self._bounded(out), near)
+        return out, body
 
-    def unposed(self, positions: np.ndarray, affine: np.ndarray) -> Unposed | None:
-        """The way back to rest of the body nearest to nodes [m], (M, 3), in a pose (22, 3, 4); None without a body."""
-        if self.depth is None:
-            return None
-        blend = self.points.blends(affine)
-        return self._unposed(positions, blend, self.points.placed(blend))
+    def posed(self, affine: np.ndarray) -> PosedBody:
+        """The body in a pose, by the transforms of its joints (22, 3, 4)."""
+        return PosedBody(*self.points.posed(affine))
 
-    def _unposed(self, positions: np.ndarray, blend: np.ndarray, body: np.ndarray) -> Unposed:
-        near = nearest_index(positions, body)
-        return Unposed.of(blend[near], self.points.joint[near])
-
-    def outside(self, positions: np.ndarray, unposed: Unposed | None) -> np.ndarray:
+    def outside(self, positions: np.ndarray, near: Planes) -> np.ndarray:
         """Nodes one step out of the body with their surroundings, so that pieces are not flattened, (M, 3)."""
-        if self.depth is None or unposed is None:
+        lack, way, _ = near.push(positions, self.gap, self.most, self.scale)
+        if not lack.any():
             return positions
-        rows, step = self.depth.push(positions, unposed, self.gap, self.most)
-        if not len(rows):
-            return positions
-        push = np.zeros((len(positions), 4), np.float32)
-        push[rows, :3] = step
-        push[rows, 3] = (step != 0).any(axis=1)
+        push = np.concatenate([lack[:, None] * way, (lack > 0)[:, None]], axis=1, dtype=np.float32)
         return self._spread(positions, push)
 
     def _spread(self, positions: np.ndarray, push: np.ndarray) -> np.ndarray:
@@ -282,23 +265,15 @@ class Safety:
         square -= along * along
         return np.asarray(np.where(square < (BESIDE * self.scale) ** 2, along, np.float32(-1)).max(axis=1))
 
-    def vertices(self, positions: np.ndarray, unposed: Unposed | None) -> np.ndarray:
-        """Vertices that the carrier took along, out of the body where they are still in it [m], shape (A, 3).
-
-        Those between two nodes that are near to different limbs are tested for both: half of what used to stay inside
-        was in the limb of the second node. A third is tested only for deep vertices, since each push strains edges.
-        """
-        if self.depth is None or unposed is None:
+    def vertices(self, positions: np.ndarray, body: PosedBody | None) -> np.ndarray:
+        """Vertices that the carrier took along, out of the body where they are still in it [m], shape (A, 3)."""
+        if body is None:
             return positions
-        out = self.depth.pushed(positions, unposed.take(self.node), self.vertex_gap, self.most)
-        joints = [unposed.joint[self.node]]
-        for node, gap in ((self.second, self.vertex_gap), (self.third, self.deep_gap)):
-            joint = unposed.joint[node]
-            between = np.flatnonzero(np.logical_and.reduce([joint != before for before in joints]))
-            if len(between):
-                other = unposed.take(node[between])
-                out[between] = self.depth.pushed(out[between], other, gap[between], self.most)
-            joints.append(joint)
+        out, rows = np.array(positions), np.arange(len(positions))
+        for _ in range(STEPS):
+            lack, way, _ = body.near(out[rows]).push(out[rows], self.vertex_gap[rows], self.most, self.scale)
+            out[rows] += lack[:, None] * way
+            rows = rows[lack > 0]
         return out
 
     def _bounded(self, positions: np.ndarray) -> np.ndarray:
@@ -344,7 +319,7 @@ class ApparelPlayer:
         self.carrier = Carrier(clothed, self.nodes)
         graph = NodeGraph(self.nodes.neighbours, self.nodes.part)
         self.folded = FoldedNetwork(network, *static_features(clothed, self.nodes), graph)
-        self.safety = Safety(clothed, self.nodes, body_points(clothed, SAFE_POINTS), self.carrier) if safe else None
+        self.safety = Safety(clothed, self.nodes, surface_points(clothed, SAFE_POINTS), self.carrier) if safe else None
         self.recurrent = network.recurrent if recurrent else None
         self.features: MotionFeatures | None = None
         self.past: FoldedPast | None = None
@@ -372,9 +347,9 @@ class ApparelPlayer:
         if self.safety is None:
             return self.carrier.positions(moved, affine)
         moved = self.safety.share * moved
-        safe, unposed = self.safety(frame.positions + np.einsum("mab,mb->ma", frame.turns, moved), affine)
+        safe, body = self.safety(frame.positions + np.einsum("mab,mb->ma", frame.turns, moved), affine)
         moved = np.einsum("mba,mb->ma", frame.turns, safe - frame.positions)
-        return self.safety.vertices(self.carrier.positions(moved, affine), unposed)
+        return self.safety.vertices(self.carrier.positions(moved, affine), body)
 
     def _carried_by(self, frame: Frame, transforms: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Frames of the carrying joints and carried positions as the recurrent part takes them."""

@@ -10,11 +10,8 @@ import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.spatial import cKDTree
 
-from bunraku.core.geometry.surface import split_long_edges
-
 _CHUNK = 60_000  # point-triangle pairs at a time: small enough for the cache
 _MOST_TRIANGLES = 64  # around one vertex
-_NEAREST = 4  # triangles that are looked at for a point anywhere
 _FIRST = 64  # points that are asked first for the distance beyond which the others need not be looked for
 
 
@@ -121,36 +118,6 @@ def _walk(points: np.ndarray, home: np.ndarray, found: _Found, stars: Stars) -> 
         new = vertex[np.arange(len(rim)), trial.corners()[best].argmax(axis=1)]
         rim, new, nearest = rim[better], new[better], trial.nearest[better]
     return moved
-
-
-def surface_distances(
-    points: np.ndarray, vertices: np.ndarray, faces: np.ndarray, length: float, most: float
-) -> np.ndarray:
-    """Distances of points (P, 3) from a surface of vertices (V, 3) and faces (F, 3), shape (P,).
-
-    Looks at the triangles with the nearest centres, once all edges are split to a `length`: where large and small
-    triangles meet, the result may be a few hundredths of such an edge too large. Where no centre is closer than `most`,
-    it is infinite.
-    """
-    vertices, faces, _ = split_long_edges(np.asarray(vertices, np.float64), np.asarray(faces, np.int64), length)
-    first, second, third = (vertices[faces[:, corner]] for corner in range(3))
-    u, v = second - first, third - first
-    dots = np.stack([(u * u).sum(axis=1), (u * v).sum(axis=1), (v * v).sum(axis=1)])
-    tree, near = cKDTree((first + second + third) / 3), min(_NEAREST, len(faces))
-    out = np.full(len(points), np.inf)
-    for start in range(0, len(points), _CHUNK // near):
-        chunk = points[start : start + _CHUNK // near]
-        distance, triangle = tree.query(chunk, range(1, near + 1), distance_upper_bound=most)
-        row, column = np.nonzero(np.isfinite(distance))
-        if not len(row):
-            continue
-        triangle = triangle[row, column]
-        p = chunk[row] - first[triangle]
-        pp, pu, pv = ((p * other).sum(axis=-1) for other in (p, u[triangle], v[triangle]))
-        square = _closest(pp, pu, pv, *dots[:, triangle])[0]
-        begins = np.flatnonzero(np.diff(row, prepend=-1))
-        out[start + row[begins]] = np.sqrt(np.minimum.reduceat(square, begins))
-    return out
 
 
 def blend_matrix(points: np.ndarray, home: np.ndarray, stars: Stars, width: float) -> csr_matrix:

@@ -3,18 +3,82 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import igl
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
+from scipy.sparse import csr_matrix
 
-from bunraku.apparel.body import BodyVolume, body_points, eq4_transforms
+from bunraku.apparel.body import UnifiedBody, eq4_transforms, surface_points
 from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.apparel.learned.player import Carrier, Safety, SafetySettings
 from bunraku.apparel.nodes import apparel_nodes
 from bunraku.core.body.layout import JOINT_NAMES
 from bunraku.core.skinning import skin
+from bunraku.errors import CharacterError
+
+_MOST_FACES = 12_000
+
+
+@dataclass(frozen=True, eq=False)
+class BodyVolume:
+    """The surface of a character without what physics move, with fewer faces."""
+
+    rest: np.ndarray  # vertices in the rest pose [m], shape (B, 3)
+    faces: np.ndarray  # shape (F, 3), int64
+    weights: np.ndarray  # for the 22 joints, shape (B, 22)
+
+    @classmethod
+    def of(cls, body: UnifiedBody, apparel: np.ndarray, most_faces: int = _MOST_FACES) -> BodyVolume:
+        """The volume of a body and its mask (V,), bool; otherwise as `of_mesh`."""
+        character = body.parts.character
+        return cls.of_mesh(character.vertices, character.faces, body.weights, apparel, character.name, most_faces)
+
+    @classmethod
+    def of_mesh(
+        cls, vertices: np.ndarray, faces: np.ndarray, weights: np.ndarray, apparel: np.ndarray, name: str,
+        most_faces: int = _MOST_FACES,
+    ) -> BodyVolume:  # fmt: skip
+        """The volume of a rest mesh [m] with weights for the 22 joints (V, 22) and its mask (V,), bool. A body with
+        more faces than `most_faces` is simplified to about so many, which moves its surface by a millimetre or two.
+
+        Raises:
+            CharacterError: All of the character is apparel.
+        """
+        faces = faces[~apparel[faces].any(axis=1)]
+        if not len(faces):
+            raise CharacterError(f"{name}: the whole mesh counts as apparel, so no body is left; mark less of it")
+        used = np.unique(faces)
+        points, index = np.unique(np.round(vertices[used].astype(np.float64), 6), axis=0, return_inverse=True)
+        numbering = np.full(len(vertices), -1)
+        numbering[used] = index.ravel()
+        shares = _means(weights[used], index.ravel(), len(points))
+        faces = numbering[faces]
+        faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
+        if len(faces) <= most_faces:
+            return cls(points, np.ascontiguousarray(faces, np.int64), shares)
+        import fast_simplification
+
+        few, few_faces, collapses = fast_simplification.simplify(
+            points.astype(np.float32), faces.astype(np.int32), target_count=most_faces, return_collapses=True
+        )
+        few, few_faces, kept = fast_simplification.replay_simplification(
+            points.astype(np.float32), faces.astype(np.int32), collapses
+        )
+        return cls(few.astype(np.float64), np.ascontiguousarray(few_faces, np.int64), _means(shares, kept, len(few)))
+
+    def posed(self, transforms: np.ndarray) -> np.ndarray:
+        """Vertices of frames [m], shape (N, B, 3), by transforms of the joints as `eq4_transforms` gives them."""
+        return skin(self.rest.astype(np.float32), self.weights, transforms)
+
+
+def _means(values: np.ndarray, groups: np.ndarray, count: int) -> np.ndarray:
+    each = np.arange(len(groups))
+    out = csr_matrix((np.ones(len(groups)), (groups, each)), (count, len(groups))) @ values.astype(np.float64)
+    return np.asarray(out / np.maximum(out.sum(axis=1, keepdims=True), 1e-12), np.float32)
+
 
 DEEP = 0.01
 """Vertices deeper than this are counted, by definition of the measure [m]."""
@@ -104,7 +168,7 @@ class PushOut:
         if clothed.apparel.any():
             self.nodes = apparel_nodes(clothed, NODES)
             self.carrier = Carrier(clothed, self.nodes)
-            self.safety = Safety(clothed, self.nodes, body_points(clothed, POINTS), self.carrier, SETTINGS)
+            self.safety = Safety(clothed, self.nodes, surface_points(clothed, POINTS), self.carrier, SETTINGS)
 
     def __call__(self, transforms: np.ndarray, loose: np.ndarray, offsets: np.ndarray) -> np.ndarray:
         """The offsets of a clip with its apparel out of the body [m], shape (N, M, 3), of the type that they had.
@@ -114,7 +178,7 @@ class PushOut:
             loose: Vertices that have offsets, shape (M,).
             offsets: How far they are from what the joints alone give [m], shape (N, M, 3).
         """
-        if self.safety is None or self.safety.depth is None:
+        if self.safety is None or self.safety.body is None:
             return offsets
         clothed, nodes = self.clothed, self.nodes
         numbering = np.full(len(clothed.rest), -1)
@@ -126,10 +190,10 @@ class PushOut:
         start[:, of_nodes >= 0] += offsets[:, of_nodes[of_nodes >= 0]].astype(np.float32)
         push, ways = np.zeros_like(start), []
         for frame, positions in enumerate(start):
-            ways.append(self.safety.unposed(positions, affine[frame]))
-            moved = positions
+            ways.append(self.safety.posed(affine[frame]))
+            moved, near = positions, ways[-1].near(positions)
             for _ in range(PASSES):
-                moved = self.safety.outside(moved, ways[-1])
+                moved = self.safety.outside(moved, near)
             push[frame] = (turns[frame].transpose(0, 2, 1) * (moved - positions)[:, None, :]).sum(axis=-1)
         push = gaussian_filter1d(push, SMOOTH * self.fps, axis=0, mode="nearest")
         # apparel without offsets goes with its joint, and so it stays
@@ -139,10 +203,10 @@ class PushOut:
         carried = skin(clothed.rest[chosen], clothed.weights[chosen], affine)
         everywhere = np.zeros((len(self.carrier.vertices), 3), np.float32)
         out = np.array(offsets)
-        for frame, unposed in enumerate(ways):
+        for frame, body in enumerate(ways):
             own = (turns[frame] * push[frame][:, None, :]).sum(axis=-1)
             everywhere[moving] = carried[frame] + offsets[frame, columns] + (share[..., None] * own[index]).sum(axis=1)
-            out[frame, columns] = self.safety.vertices(everywhere, unposed)[moving] - carried[frame]
+            out[frame, columns] = self.safety.vertices(everywhere, body)[moving] - carried[frame]
         return out
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.apparel.body import BodyVolume, UnifiedBody, eq4_transforms
+from bunraku.apparel.body import UnifiedBody, eq4_transforms
 from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.apparel.learned.features import Frame
 from bunraku.apparel.learned.network import DisplacementNetwork, past_of_states
@@ -25,7 +25,7 @@ from bunraku.core.geometry.graph import unique_edges
 from bunraku.core.skinning import posed_points, skin
 from bunraku_lab.datasets.apparel import ApparelData
 from bunraku_lab.datasets.apparel.build import body_animation, record
-from bunraku_lab.datasets.apparel.checks import PushOut, deep_inside
+from bunraku_lab.datasets.apparel.checks import BodyVolume, PushOut, deep_inside
 from bunraku_lab.datasets.apparel.plan import character_split
 
 
