@@ -259,7 +259,7 @@ def test_safety_pushes_out_of_the_body():
     loose = safety.free[:, 0] > 0
     assert deepest(blown[loose]) > 0.012 and deepest(safety(blown, affine)[0][loose]) < 0.008
     vertices = clothed.rest[carrier.vertices] - np.array([0, 0, 0.16], np.float32)
-    assert deepest(vertices) > 0.05 and deepest(safety.vertices(vertices, body)) < 0.012
+    assert deepest(vertices) > 0.05 and deepest(safety.vertices(vertices, body)) < 0.015
 
 
 def test_safety_lays_a_skirt_over_a_lifted_leg():

@@ -143,10 +143,6 @@ class Planes:
     positions: np.ndarray  # [m], shape (K, C, 3)
     normals: np.ndarray  # shape (K, C, 3)
 
-    def take(self, rows: np.ndarray) -> Planes:
-        """The same for some of the points."""
-        return Planes(self.positions[rows], self.normals[rows])
-
     def of(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Signed distance of points (K, 3), the mean of those from the planes by nearness [m], shape (K,); the way out,
         shape (K, 3); and how far beside the nearest of them each point is [m], shape (K,).
@@ -162,9 +158,7 @@ class Planes:
         beside = np.sqrt(np.maximum(square[nearest] - np.square(height[nearest]), 0))
         return np.einsum("kc,kc->k", share, height), way, beside
 
-    def push(
-        self, points: np.ndarray, gap: np.ndarray, most: float, size: float
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def push(self, points: np.ndarray, gap: np.ndarray, most: float, size: float) -> tuple[np.ndarray, np.ndarray]:
         """What points (K, 3) lack until they are as far from the surface as `gap`.
 
         Args:
@@ -174,13 +168,12 @@ class Planes:
             size: Of the character, over `clothed.SIZE`.
 
         Returns:
-            What each lacks, shape (K,), 0 where it stays [m]; the ways out, shape (K, 3); and whether a point is so far
-                out that it will not come in while others are moved, shape (K,).
+            What each lacks, shape (K,), 0 where it stays [m]; and the ways out, shape (K, 3).
         """
         distance, way, beside = self.of(points)
         lack = gap - distance
         moves = (lack > 0) & (lack < most) & (beside < ASIDE * size + np.abs(distance))
-        return np.where(moves, lack, 0), way, lack < -ASIDE * size
+        return np.where(moves, lack, 0), way
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,24 +187,18 @@ class PosedBody:
     def _tree(self) -> cKDTree:
         return cKDTree(self.positions)
 
-    def planes(self, points: np.ndarray, within: float = np.inf) -> tuple[np.ndarray, np.ndarray]:
-        """The rows of points (M, 3) that are as near as `within` [m], shape (K,), and what is nearest to each, rows of
-        the body, shape (K, C)."""
-        gap, near = self._tree.query(points, min(PLANES, len(self.positions)))
-        gap, near = gap.reshape(len(points), -1), near.reshape(len(points), -1)
+    def planes(self, points: np.ndarray, within: float = np.inf) -> tuple[np.ndarray, Planes]:
+        """The rows of points (M, 3) that are as near as `within` [m], shape (K,), and what is nearest to each."""
+        count = min(PLANES, len(self.positions))
+        gap, near = (found.reshape(len(points), count) for found in self._tree.query(points, count))
         rows = np.flatnonzero(gap[:, 0] < within)
-        return rows, near[rows]
-
-    def near(self, points: np.ndarray) -> Planes:
-        """What is nearest to each point (K, 3)."""
-        _, near = self.planes(points)
-        return Planes(self.positions[near], self.normals[near])
+        return rows, Planes(self.positions[near[rows]], self.normals[near[rows]])
 
     def gap(self, points: np.ndarray, clear: float, size: float) -> np.ndarray:
         """How near points (M, 3) may come that are there at rest [m], shape (M,): no nearer than they are, or than
         `clear` [m], and `-inf` for those so deep in the body that they do not count.
         """
-        distance, _, beside = self.near(points).of(points)
+        distance, _, beside = self.planes(points)[1].of(points)
         near = np.where(distance > -BURIED * size, np.minimum(distance, clear), -np.inf)
         return np.where(beside < ASIDE * size + np.abs(distance), near, clear)
 

@@ -80,6 +80,7 @@ class PushOutOfBody:
         points: Points of the body.
         passes: How often links are rotated.
         shared: Passes after which what links were rotated is shared with their neighbours.
+        rounds: How often, each time.
         most: Points deeper than this are on the wrong side of something thin and stay, over the size [m].
         clear: How near the body points may come that were farther off at rest, over the size [m]; those that were
             nearer, or deeper, come no nearer and no deeper than that. At 0.004 hair in layers is torn.
@@ -96,6 +97,7 @@ class PushOutOfBody:
     points: int = 3000
     passes: int = 9
     shared: tuple[int, ...] = (2, 5)
+    rounds: int = 1
     most: float = 0.12
     clear: float = -0.002
     farthest: float = 0.35
@@ -119,7 +121,7 @@ class PushOutOfBody:
         legs = _LegsBehind(self, clothed, links, bones, every, moved) if len(links.sheet) else None
         near = _Near.of(body, every[:, bones], moved, links.rest, clothed.scale, self.clear)
         for number in range(self.passes):
-            push, near = near.push(moved, links, self.most * clothed.scale)
+            push = near.push(moved, links, self.most * clothed.scale)
             if legs is not None:
                 legs.push(moved, push)
             if not push.any():
@@ -208,7 +210,8 @@ class _Near:
         (M, 3), that keep `clear` of it, over the size [m].
         """
         limbs, band = _LIMB[body.joint], BAND * size
-        frames, points, legs, gaps, nearest = ([np.zeros(0, np.int64)] for _ in range(5))
+        numbers, gaps = [np.zeros((3, 0), np.int64)], [np.zeros(0)]
+        nearest = [np.zeros((2, 0, PLANES, 3), np.float32)]
         posed = skin(body.rest, body.weights, affine)
         for limb in np.unique(limbs):
             members = np.flatnonzero(limbs == limb)
@@ -218,24 +221,24 @@ class _Near:
             low, high = posed[:, members].min(axis=1) - band, posed[:, members].max(axis=1) + band
             about = ((moved > low[:, None]) & (moved < high[:, None])).all(axis=-1) & np.isfinite(gap)
             for frame in np.flatnonzero(about.any(axis=1)):
-                chosen = np.flatnonzero(about[frame])
-                rows, near = PosedBody(posed[frame, members], body.normals[members]).planes(moved[frame, chosen], band)
-                frames.append(np.full(len(rows), frame))
-                points.append(chosen[rows])
-                legs.append(np.full(len(rows), limb in _LEG_LIMBS))
-                gaps.append(gap[chosen[rows]])
-                nearest.append(members[near].reshape(-1))
-        frame, point, leg, gap = (np.concatenate(column) for column in (frames, points, legs, gaps))
-        near = np.concatenate(nearest).reshape(-1, PLANES)
-        normals = np.einsum("kcab,kcb->kca", affine[frame[:, None], body.joint[near], :, :3], body.normals[near])
-        return cls(frame, point, leg > 0, gap, Planes(posed[frame[:, None], near], normals), size)
+                point = np.flatnonzero(about[frame])
+                normals = np.einsum("bac,bc->ba", affine[frame, body.joint[members], :, :3], body.normals[members])
+                rows, planes = PosedBody(posed[frame, members], normals).planes(moved[frame, point], band)
+                point = point[rows]
+                # what is farther out does not come in while others are moved
+                height = planes.of(moved[frame, point])[0] - gap[point]
+                kept = np.flatnonzero(height < ASIDE * size)
+                point = point[kept]
+                numbers.append(np.stack([np.full(len(kept), frame), point, np.full(len(kept), limb in _LEG_LIMBS)]))
+                gaps.append(gap[point])
+                nearest.append(np.stack([planes.positions[kept], planes.normals[kept]]).astype(np.float32))
+        frame, point, leg = np.concatenate(numbers, axis=1)
+        return cls(frame, point, leg > 0, np.concatenate(gaps), Planes(*np.concatenate(nearest, axis=1)), size)
 
-    def push(self, moved: np.ndarray, links: _Links, most: float) -> tuple[np.ndarray, _Near]:
-        """What moves points (N, M, 3) out of the body [m], of the same shape, and what may be pushed from then on.
-        Points deeper than `most` stay [m].
-        """
+    def push(self, moved: np.ndarray, links: _Links, most: float) -> np.ndarray:
+        """What moves points (N, M, 3) out of the body [m], of the same shape. Points deeper than `most` stay [m]."""
         push = np.zeros(moved.shape)
-        lack, way, clear = self.planes.push(moved[self.frame, self.point], self.gap, most, self.size)
+        lack, way = self.planes.push(moved[self.frame, self.point], self.gap, most, self.size)
         rows = np.flatnonzero(lack)
         frame, point, way, length = self.frame[rows], self.point[rows], way[rows], lack[rows]
         skirt = links.row_of_sheet[point]
@@ -247,9 +250,7 @@ class _Near:
         way[outward] = out
         order = np.argsort(length, kind="stable")  # the largest is written last
         push[frame[order], point[order]] = (length[:, None] * way)[order]
-        kept = np.flatnonzero(~clear)
-        arrays = (self.frame, self.point, self.leg, self.gap)
-        return push, _Near(*(values[kept] for values in arrays), self.planes.take(kept), self.size)
+        return push
 
 
 class _Links:
@@ -339,7 +340,9 @@ class _Links:
             axis_angle_from_matrix(rotations[:, chain.bones] @ np.swapaxes(before[:, chain.bones], 2, 3))
             for chain in self.chains
         ]
-        for chain, turn in zip(self.chains, averaged_turns(turns, near), strict=True):
+        for _ in range(self.how.rounds):
+            turns = averaged_turns(turns, near)
+        for chain, turn in zip(self.chains, turns, strict=True):
             rotations[:, chain.bones] = matrix_from_axis_angle(turn) @ before[:, chain.bones]
         return replace(animation, rotations=rotations)
 

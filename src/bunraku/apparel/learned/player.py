@@ -219,7 +219,7 @@ class Safety:
             return out, None
         body = self.posed(affine)
         out = self._over_legs(out, affine, body.positions)
-        near = body.near(out)
+        near = body.planes(out)[1]
         for _ in range(self.settings.passes):
             out = self.outside(self._bounded(out), near)
         return out, body
@@ -230,7 +230,7 @@ class Safety:
 
     def outside(self, positions: np.ndarray, near: Planes) -> np.ndarray:
         """Nodes one step out of the body with their surroundings, so that pieces are not flattened, (M, 3)."""
-        lack, way, _ = near.push(positions, self.gap, self.most, self.scale)
+        lack, way = near.push(positions, self.gap, self.most, self.scale)
         if not lack.any():
             return positions
         push = np.concatenate([lack[:, None] * way, (lack > 0)[:, None]], axis=1, dtype=np.float32)
@@ -271,7 +271,7 @@ class Safety:
             return positions
         out, rows = np.array(positions), np.arange(len(positions))
         for _ in range(STEPS):
-            lack, way, _ = body.near(out[rows]).push(out[rows], self.vertex_gap[rows], self.most, self.scale)
+            lack, way = body.planes(out[rows])[1].push(out[rows], self.vertex_gap[rows], self.most, self.scale)
             out[rows] += lack[:, None] * way
             rows = rows[lack > 0]
         return out

@@ -191,7 +191,7 @@ class PushOut:
         push, ways = np.zeros_like(start), []
         for frame, positions in enumerate(start):
             ways.append(self.safety.posed(affine[frame]))
-            moved, near = positions, ways[-1].near(positions)
+            moved, near = positions, ways[-1].planes(positions)[1]
             for _ in range(PASSES):
                 moved = self.safety.outside(moved, near)
             push[frame] = (turns[frame].transpose(0, 2, 1) * (moved - positions)[:, None, :]).sum(axis=-1)
