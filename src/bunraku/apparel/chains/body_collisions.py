@@ -104,7 +104,7 @@ class PushOutOfBody:
     firm: float = 0.01
     stays: float = 0.02
     smooth: float = 0.05
-    deepest: float = 0.4
+    deepest: float = 0.2
     about: float = 0.06
 
     def __call__(self, animation: RigAnimation, dressed: DressedChains) -> RigAnimation:
