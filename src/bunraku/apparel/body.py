@@ -203,9 +203,6 @@ class PosedBody:
         return np.where(beside < ASIDE * size + np.abs(distance), near, clear)
 
 
-_ROWS = 64  # rows of distances at a time: they stay in the cache
-
-
 @dataclass(frozen=True, eq=False)
 class BodyPoints:
     """Points spread over the body."""
@@ -217,15 +214,9 @@ class BodyPoints:
 
     def posed(self, affine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Positions and normals in a frame, (B, 3) each, by transforms of the joints as of `eq4_transforms`."""
-        return self.placed(self.blends(affine)), np.einsum("bac,bc->ba", affine[self.joint, :, :3], self.normals)
-
-    def blends(self, affine: np.ndarray) -> np.ndarray:
-        """Affine transform of each point, shape (B, 3, 4), by those of the joints."""
-        return (self.weights @ affine.reshape(len(affine), 12)).reshape(-1, 3, 4)
-
-    def placed(self, blends: np.ndarray) -> np.ndarray:
-        """Positions of the points by these [m], shape (B, 3)."""
-        return np.asarray(np.einsum("bac,bc->ba", blends[..., :3], self.rest) + blends[..., 3])
+        blends = (self.weights @ affine.reshape(len(affine), 12)).reshape(-1, 3, 4)
+        positions = np.einsum("bac,bc->ba", blends[..., :3], self.rest) + blends[..., 3]
+        return positions, np.einsum("bac,bc->ba", affine[self.joint, :, :3], self.normals)
 
 
 def body_points(clothed: ClothedCharacter, most: int = 512) -> BodyPoints:
@@ -274,21 +265,5 @@ def nearest_point(points: np.ndarray, positions: np.ndarray, normals: np.ndarray
     """
     if not len(positions):
         return np.full(len(points), 10.0, np.float32), np.zeros_like(points)
-    near = nearest_index(points, positions)
+    near = cKDTree(positions).query(points)[1]
     return ((points - positions[near]) * normals[near]).sum(axis=-1), normals[near]
-
-
-def nearest_index(points: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """Index of the nearest position to each point, shapes (M, 3) and (B, 3) -> (M,)."""
-    # one product: the square of a point's own length is the same for all
-    table = np.empty((4, len(positions)), np.float32)
-    np.multiply(positions.T, -2, out=table[:3])
-    np.square(positions).sum(axis=1, out=table[3])
-    ours = np.empty((len(points), 4), np.float32)
-    ours[:, :3], ours[:, 3] = points, 1
-    near = np.empty(len(points), np.int64)
-    gaps = np.empty((min(_ROWS, len(points)), len(positions)), np.float32)
-    for first in range(0, len(points), _ROWS):
-        block = ours[first : first + _ROWS]
-        np.matmul(block, table, out=gaps[: len(block)]).argmin(axis=1, out=near[first : first + _ROWS])
-    return near

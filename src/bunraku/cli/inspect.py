@@ -113,22 +113,21 @@ def _part_facts(character: Character, clothed: Any) -> list[dict[str, Any]]:
     import numpy as np
 
     from bunraku.apparel.chains.chain import parameters_beside
-    from bunraku.apparel.chains.from_shape import part_kinds, shape_chains, with_parts_from_file
+    from bunraku.apparel.chains.from_shape import with_parts_from_file
     from bunraku.apparel.clothed import FREE, LOADS, NARROW
     from bunraku.core.body.layout import JOINT_NAMES
 
-    kinds = part_kinds(clothed, shape_chains(clothed))
     clothed = with_parts_from_file(clothed, parameters_beside(character))
     area = max(float(character.areas.sum()), 1e-30)
     out = []
-    for number, kind in enumerate(kinds):
+    for number, kind in enumerate(clothed.kinds):
         rows = np.flatnonzero(clothed.part == number)
         joint = int(clothed.weights[rows].mean(axis=0).argmax())
         ratio = float(clothed.stiffness[number])
         turn = min(float(clothed.limit[number]), float(np.clip(10.0 ** (LOADS - ratio), NARROW, FREE)))
         out.append(
             {
-                "part": number, "kind": kind or "unknown", "vertices": len(rows),
+                "part": number, "kind": kind, "vertices": len(rows),
                 "area": round(float(character.areas[rows].sum()) / area, 4), "hangs_on": JOINT_NAMES[joint],
                 "stiffness": float(f"{10.0**ratio:.3g}"), "limit": round(float(np.degrees(turn)), 1),
                 "damping": round(float(clothed.damping[number]), 3),

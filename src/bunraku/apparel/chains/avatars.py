@@ -12,7 +12,7 @@ from bunraku.apparel.chains.chain_rig import Chained
 from bunraku.apparel.chains.moving import steady_simulation
 from bunraku.core.animation import RigAnimation
 from bunraku.core.avatars import MmdModel, MmdSdef, VrmCollider, VrmModel, VrmSpring, VrmSpringJoint
-from bunraku.core.geometry.rotations import matrix_from_axis_angle
+from bunraku.core.geometry.rotations import matrix_from_axis_angle, rotation_between
 
 RATE = 60  # steps a second
 
@@ -64,21 +64,7 @@ def link_turns(turns: np.ndarray, heads: np.ndarray, bones: np.ndarray, tails: n
     them, shape (T, C, 3, 3); other arguments as of `vrm_steps`.
     """
     aims = np.einsum("tcab,cb->tca", turns, bones)
-    aims /= np.maximum(np.linalg.norm(aims, axis=-1, keepdims=True), 1e-9)
-    away = tails - heads
-    away /= np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), 1e-9)
-    return np.asarray(_between(aims, away) @ turns)
-
-
-def _between(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """The shortest rotations from unit vectors to others, shape (..., 3, 3)."""
-    cross = np.cross(start, end)
-    cosine = (start * end).sum(axis=-1)
-    skew = np.zeros((*start.shape, 3))
-    skew[..., 0, 1], skew[..., 0, 2], skew[..., 1, 2] = -cross[..., 2], cross[..., 1], -cross[..., 0]
-    skew -= np.swapaxes(skew, -1, -2)
-    scale = 1 / np.maximum(1 + cosine, 1e-6)
-    return np.asarray(np.eye(3) + skew + scale[..., None, None] * (skew @ skew))
+    return np.asarray(rotation_between(aims, tails - heads) @ turns)
 
 
 FPS = 30.0

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.sparse import diags
 from scipy.spatial import cKDTree
 
-from bunraku.apparel.chains.chain import KINDS, Chain, LaidShape, parameters_from_file, parameters_of_laid
+from bunraku.apparel.chains.chain import Chain, LaidShape, parameters_from_file, parameters_of_laid
 from bunraku.apparel.chains.chain_rig import LaidChains, neighbours_of
 from bunraku.apparel.chains.sheets import Piece, pieces_of
 from bunraku.apparel.clothed import FREE, LOADS, NARROW, SOFTEST, STIFFEST, ClothedCharacter, Swing
@@ -258,7 +258,8 @@ def with_parts_from_file(clothed: ClothedCharacter, tables: Mapping[str, Mapping
     if not any(changes):
         return clothed
     held = _held(laid)
-    counts = _counts(clothed, laid, held)
+    counts = np.zeros((len(clothed.stiffness), len(laid.chains)))
+    np.add.at(counts, clothed.part[laid.vertices], held)
     total = np.maximum(counts.sum(axis=1), 1e-9)
     stiffness, damping = np.array(clothed.stiffness, np.float64), np.array(clothed.damping, np.float64)
     limit = np.array(clothed.limit, np.float64)
@@ -284,18 +285,6 @@ def with_parts_from_file(clothed: ClothedCharacter, tables: Mapping[str, Mapping
     )  # fmt: skip
 
 
-def part_kinds(clothed: ClothedCharacter, laid: LaidChains) -> list[str]:
-    """The kind of each part: that of the chains that hold most of it; "" where none does."""
-    counts = _counts(clothed, laid, _held(laid))
-    out = []
-    for row in counts:
-        by_kind = {kind: sum(share for share, chain in zip(row, laid.chains, strict=True) if chain.kind == kind)
-                   for kind in KINDS}  # fmt: skip
-        best = max(by_kind, key=lambda kind: by_kind[kind])
-        out.append(best if by_kind[best] > 0 else "")
-    return out
-
-
 def _held(laid: LaidChains) -> np.ndarray:
     """Share of each vertex that each chain holds, shape (A, C)."""
     owner = np.zeros(sum(map(len, laid.chains)), np.int64)
@@ -304,13 +293,6 @@ def _held(laid: LaidChains) -> np.ndarray:
     out = np.zeros((len(laid.vertices), len(laid.chains)))
     for links, shares in zip(laid.links.T, laid.shares.T, strict=True):
         np.add.at(out, (np.arange(len(out)), owner[links]), shares)
-    return out
-
-
-def _counts(clothed: ClothedCharacter, laid: LaidChains, held: np.ndarray) -> np.ndarray:
-    """How much each chain holds of each part, shape (P, C)."""
-    out = np.zeros((len(clothed.stiffness), len(laid.chains)))
-    np.add.at(out, clothed.part[laid.vertices], held)
     return out
 
 
