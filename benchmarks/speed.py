@@ -26,6 +26,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from importlib.util import find_spec
+from itertools import pairwise
 from pathlib import Path
 
 FRAMES = 120
@@ -153,7 +154,6 @@ def time_size(size: int) -> dict[str, float]:
     from bunraku.core.nn.checkpoints import shipped_checkpoint
     from bunraku.core.skinning import skin, skin_basis
     from bunraku_lab.nn.graph import EdgeConv, edge_conv_reference, mesh_graph
-    from bunraku_lab.nn.handles import HandlePredictor
 
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
@@ -170,10 +170,9 @@ def time_size(size: int) -> dict[str, float]:
         slow = 0.0
         import torch
 
-        definition = HandlePredictor.load(weights_path)
         graph = mesh_graph(mesh.vertices, mesh.normals, mesh.edges, mesh.areas, network.config.anchors)
-        for layer in (module for module in definition.modules() if isinstance(module, EdgeConv)):
-            x = torch.zeros(len(mesh.vertices), layer.own.in_features)
+        for widths in pairwise((6, *network.config.levels)):
+            layer, x = EdgeConv(*widths), torch.zeros(len(mesh.vertices), widths[0])
             with torch.inference_mode():
                 fast = best(lambda layer=layer, x=x: layer(x, graph))
                 slow += best(lambda layer=layer, x=x: edge_conv_reference(layer, x, graph), 1) - fast

@@ -124,9 +124,8 @@ def running():
 
     def make(seed=0, **changes):
         model = tiny_denoiser(seed, **changes)
-        from bunraku_lab.nn.running import running_denoiser
 
-        return running_denoiser(model)
+        return model.running()
 
     return make
 

@@ -34,9 +34,15 @@ from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.core.motion import line_up
 from bunraku.errors import WeightsError
 from bunraku_lab.evaluation.apparel.clips import KnownPlayer
-from bunraku_lab.nn.apparel import DisplacementNetwork, Inputs, clip_features, mirror_global, past_of_states
+from bunraku_lab.nn.apparel import (
+    DisplacementNetwork,
+    Inputs,
+    clip_features,
+    mirror_global,
+    past_of_states,
+    running_displacement,
+)
 from bunraku_lab.nn.graph import EdgeBlock, node_graph
-from bunraku_lab.nn.running import running_displacement
 
 
 def curtain(rows=7, columns=4):

@@ -270,8 +270,7 @@ def statistics(pack):
 @pytest.fixture
 def bank(pack, encoder, statistics):
     torch = pytest.importorskip("torch", reason="networks are made with PyTorch")
-    from bunraku_lab.nn.running import running_extractor
-    from bunraku_lab.nn.text import Extractor
+    from bunraku_lab.nn.text import Extractor, running_extractor
 
     torch.manual_seed(3)
     sizes = {"width": 16, "layers": 1, "heads": 2, "feedforward": 16, "embedding": 4, "text_size": 8, "pooled_size": 8}

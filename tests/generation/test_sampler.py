@@ -276,8 +276,7 @@ SIZE = 16
 @pytest.fixture(scope="module")
 def network():
     torch = pytest.importorskip("torch", reason="networks are made with PyTorch")
-    from bunraku_lab.nn.running import running_extractor
-    from bunraku_lab.nn.text import Extractor
+    from bunraku_lab.nn.text import Extractor, running_extractor
 
     torch.manual_seed(0)
     config = ExtractorConfig(width=16, layers=1, heads=2, feedforward=16, embedding=8, features=SIZE, dropout=0.0)

@@ -146,8 +146,7 @@ def test_a_circle_is_turned_evenly():
 @pytest.fixture
 def ranker():
     torch = pytest.importorskip("torch", reason="networks are made with PyTorch")
-    from bunraku_lab.nn.running import running_extractor
-    from bunraku_lab.nn.text import Extractor
+    from bunraku_lab.nn.text import Extractor, running_extractor
 
     torch.manual_seed(3)
     sizes = {"width": 16, "layers": 1, "heads": 2, "feedforward": 16, "embedding": 8, "text_size": 8, "pooled_size": 8}

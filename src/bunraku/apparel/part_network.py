@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from bunraku.core.geometry.graph import clean_mesh, mesh_parts, unique_edges
 from bunraku.core.nn.checkpoints import config_of, load_network
-from bunraku.core.nn.layers import Norm, Weights, gelu, through
+from bunraku.core.nn.layers import Norm, Weights, brought, gelu, through
 
 PARTS = ("body", "hair", "skirt", "cape", "sleeve", "tail", "prop", "accessory", "ground")
 """Kinds of parts. A skirt is also a robe or the tails of a coat, a tail also an ear; ground is what a figure stands on
@@ -233,14 +233,12 @@ class _Near:
         self._place = weights.linear("place", 3, out, bias=False)
         self._scale = np.float32(scale)
 
-    def __call__(self, x: np.ndarray, points: np.ndarray, count: int, index: np.ndarray) -> np.ndarray:
+    def __call__(self, x: np.ndarray, points: np.ndarray, index: np.ndarray) -> np.ndarray:
         place = self._place(self._scale * points)
         value = self._value(x)
         value += place
-        most = value[index[:, 0]]
-        for column in range(1, index.shape[1]):
-            np.maximum(most, value[index[:, column]], out=most)
-        most -= place[:count]
+        most = largest_of(value, index)
+        most -= place[: len(index)]
         return gelu(most)
 
 
@@ -249,9 +247,9 @@ class _Gather:
         self._near = _Near(width, out, scale, weights.part("near"))
         self._mix = weights.perceptron("mix leave", width + out, out, out)
 
-    def __call__(self, x: np.ndarray, points: np.ndarray, count: int, index: np.ndarray) -> np.ndarray:
-        near = self._near(x, points, count, index)
-        return self._mix(np.concatenate([x[:count], near], axis=1))
+    def __call__(self, x: np.ndarray, points: np.ndarray, index: np.ndarray) -> np.ndarray:
+        near = self._near(x, points, index)
+        return self._mix(np.concatenate([x[: len(index)], near], axis=1))
 
 
 class _Beside:
@@ -262,8 +260,9 @@ class _Beside:
 
     def __call__(self, x: np.ndarray, points: np.ndarray, index: np.ndarray) -> np.ndarray:
         own = self._norm(x)
-        near = self._near(own, points, len(points), index)
-        return np.asarray(x + self._mix(np.concatenate([own, near], axis=1)))
+        near = self._near(own, points, index)
+        out: np.ndarray = x + self._mix(np.concatenate([own, near], axis=1))
+        return out
 
 
 class PartNetwork:
@@ -299,22 +298,41 @@ class PartNetwork:
     def scores(self, seen: PartPoints) -> np.ndarray:
         """[MMDMC 2] Scores of the parts, of hanging and of the carriers, shape (S, parts + 1 + carriers)."""
         points = seen.surface.points.astype(np.float32)
-        centres, beside = points[:CENTRES], seen.beside[:, :BESIDE]
         piece = np.unique(seen.surface.part, return_inverse=True)[1]
-        x = self._enter(point_features(seen.surface))
-        x += gelu(self._piece(np.concatenate([x, _piece_mean(gelu(x.copy()), piece)], axis=1)))
-        y = self._to_centres(x, points, CENTRES, seen.gather[:, :GATHERED])
+        return self.answer(point_features(seen.surface), points, piece, seen)
+
+    def answer(
+        self, features: np.ndarray, points: np.ndarray, piece: np.ndarray, near: PartPoints,
+        chosen: np.ndarray | None = None,
+    ) -> np.ndarray:  # fmt: skip
+        """Scores from what the network reads. Several meshes may be one block: all their tokens first, then their other
+        centres, then their other points.
+
+        Args:
+            features: As of `point_features`.
+            points: Shape (S, 3).
+            piece: Loose part of each, shape (S,).
+            near: Neighbours and shares.
+            chosen: Points that are asked for, which `fine` is of; all where None.
+        """
+        centres, beside = points[: len(near.gather)], near.beside[:, :BESIDE]
+        x = self._enter(features)
+        x += gelu(self._piece(np.concatenate([x, piece_mean(gelu(x.copy()), piece)], axis=1)))
+        y = self._to_centres(x, points, near.gather[:, :GATHERED])
         for block in self._before:
             y = block(y, centres, beside)
-        z = self._to_tokens(y, centres, TOKENS, seen.gather_up[:, :GATHERED]) + self._where(waves(points[:TOKENS]))
-        z = through(self._layers, z[None])
-        z = _blended(z[0], seen.down, seen.down_shares)
+        z = self._to_tokens(y, centres, near.gather_up[:, :GATHERED])
+        z = z + self._where(waves(points[: len(near.gather_up)]))
+        z = through(self._layers, z.reshape(-1, TOKENS, self.config.coarse)).reshape(-1, self.config.coarse)
+        z = blended(z, near.down, near.down_shares)
         y += self._down(np.concatenate([y, z], axis=1))
         for block in self._after:
             y = block(y, centres, beside)
-        y = _blended(y, seen.fine, seen.fine_shares)
+        y = blended(y, near.fine, near.fine_shares)
+        if chosen is not None:
+            x, piece = x[chosen], piece[chosen]
         y = gelu(self._last(np.concatenate([x, y], axis=1)))
-        y += gelu(self._whole(np.concatenate([y, _piece_mean(y, piece)], axis=1)))
+        y += gelu(self._whole(np.concatenate([y, piece_mean(y, piece)], axis=1)))
         return through(self._decoder, y)
 
 
@@ -324,18 +342,32 @@ def waves(points: np.ndarray) -> np.ndarray:
     return np.concatenate([2 * points, np.sin(turns), np.cos(turns)], axis=1)
 
 
-def _piece_mean(x: np.ndarray, piece: np.ndarray) -> np.ndarray:
+def largest_of(values: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """The largest value of each channel among some rows, (N, C) and (M, K) -> (M, C)."""
+    if not isinstance(values, np.ndarray):
+        return brought(largest_of, values, index)
+    most: np.ndarray = values[index[:, 0]]
+    for column in range(1, index.shape[1]):
+        np.maximum(most, values[index[:, column]], out=most)
+    return most
+
+
+def piece_mean(x: np.ndarray, piece: np.ndarray) -> np.ndarray:
     """The mean of each channel over the loose part of each row, shape (N, C)."""
+    if not isinstance(x, np.ndarray):
+        return brought(piece_mean, x, piece)
     order = np.argsort(piece, kind="stable")
     starts = np.flatnonzero(np.diff(piece[order], prepend=-1))
     count = np.diff(starts, append=len(piece))
     return np.asarray((np.add.reduceat(x[order], starts, axis=0) / count[:, None].astype(np.float32))[piece])
 
 
-def _blended(x: np.ndarray, index: np.ndarray, shares: np.ndarray) -> np.ndarray:
-    """Sums of three rows by shares."""
+def blended(x: np.ndarray, index: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    """Sums of three rows by shares, (N, C), (M, 3) and (M, 3) -> (M, C)."""
+    if not isinstance(x, np.ndarray):
+        return brought(blended, x, index, shares)
     shares = shares.astype(np.float32)
-    out = x[index[:, 0]] * shares[:, :1]
+    out: np.ndarray = x[index[:, 0]] * shares[:, :1]
     for column in (1, 2):
         out += x[index[:, column]] * shares[:, column : column + 1]
     return out

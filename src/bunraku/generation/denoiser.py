@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -20,8 +20,10 @@ from bunraku.core.nn.layers import (
     Memory,
     Rotary,
     Weights,
+    brought,
     decoded,
     hidden_by,
+    padded,
     rotary_positions,
     silu,
     through,
@@ -281,13 +283,12 @@ class Denoiser:
         if examples is None:
             return null, null, always
         size = self.config.frames_per_token * EXAMPLE_TOKENS
-        count, frames, features = examples.values.shape[1:]
+        count, frames = examples.values.shape[1:3]
         tokens = -(-frames // size)
         real = np.arange(tokens * size) < examples.lengths[..., None]
-        padded = np.zeros((batch, count, tokens * size, features), np.float32)
-        padded[:, :, :frames] = examples.values
-        padded *= real[..., None]
-        values = self.example_in(padded.reshape(batch, count, tokens, -1))
+        filled = padded(examples.values, tokens * size)
+        filled *= real[..., None]
+        values = self.example_in(filled.reshape(batch, count, tokens, -1))
         sentence = self.example_sentence_in(examples.pooled * np.float32(self.config.pooled_size**0.5))
         keys = values + sentence[:, :, None]
         mask = real.reshape(batch, count * tokens, size).any(-1) & keep[:, None]
@@ -304,13 +305,13 @@ class Denoiser:
         return rotary_positions(positions, self.config.width // self.config.heads)
 
     def __call__(
-        self, x: np.ndarray, step: int, lengths: np.ndarray, condition: Condition, adapts: bool = True
+        self, x: np.ndarray, step: int | np.ndarray, lengths: np.ndarray, condition: Condition, adapts: bool = True
     ) -> tuple[np.ndarray, np.ndarray | None]:
         """Clean motion x0 (B, N, D) in network units and the adaptation of local translations (B, N, K, 3) [m].
 
         Args:
             x: Noisy motion in network units, shape (B, N, D).
-            step: Diffusion step in 0..999.
+            step: Diffusion step in 0..999, or that of each row, shape (B,), float32.
             lengths: Frames that are real in each row, shape (B,).
             condition: Result of `condition`.
             adapts: Whether the adaptation is wanted.
@@ -325,7 +326,7 @@ class Denoiser:
             h = np.concatenate([h, token], axis=-1)
         said = self.adaptation_out(h).reshape(batch, -1, self.config.handles, 3)[:, :frames]
         if self.config.adaptation_frame == "joints":
-            said = capped(joint_offsets(said, motion * self.std + self.mean), soft=False)
+            said = capped_offsets(said, motion * self.std + self.mean)
         return motion, said
 
     def _tokens(self, x: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
@@ -333,20 +334,20 @@ class Denoiser:
         batch, frames, features = x.shape
         patch = self.config.frames_per_token
         tokens = -(-frames // patch)
-        padded = np.zeros((batch, tokens * patch, features), np.float32)
-        padded[:, :frames] = x
+        filled = padded(x, tokens * patch)
         full = bool((lengths >= frames).all())
         real = np.arange(tokens * patch) < lengths[:, None]
         if not full:
-            padded *= real[..., None]
-        entered = self.motion_in(padded.reshape(batch, tokens, patch * features))
-        return entered, None if full else np.asarray(real.reshape(batch, tokens, patch).any(-1))
+            filled *= real[..., None]
+        entered = self.motion_in(filled.reshape(batch, tokens, patch * features))
+        return entered, None if full else real.reshape(batch, tokens, patch).any(-1)
 
-    def _step(self, step: int) -> np.ndarray:
+    def _step(self, step: int | np.ndarray) -> np.ndarray:
         """The diffusion step as the layers see it, shape (1, d)."""
-        return through(self.step_in, waves(np.array([step], np.float32), self.config.width))
+        steps = np.array([step], np.float32) if np.isscalar(step) else cast(np.ndarray, step)
+        return through(self.step_in, waves(steps, self.config.width))
 
-    def hidden(self, x: np.ndarray, step: int, lengths: np.ndarray, condition: Condition) -> np.ndarray:
+    def hidden(self, x: np.ndarray, step: int | np.ndarray, lengths: np.ndarray, condition: Condition) -> np.ndarray:
         """The last hidden states, which both heads read, shape (B, T, d) for T tokens; arguments as of `__call__`."""
         h, real = self._tokens(x, lengths)
         vector = silu(self._step(step) + condition.sentence)
@@ -377,6 +378,13 @@ def joint_offsets(moves: np.ndarray, features: np.ndarray) -> np.ndarray:
     for handle, parent in enumerate(parents, start=1):
         offsets.append(offsets[parent] + shifts[:, :, handle - 1])
     return np.stack(offsets, axis=2)
+
+
+def capped_offsets(moves: np.ndarray, features: np.ndarray) -> np.ndarray:
+    """`joint_offsets`, cut to what people allow."""
+    if not isinstance(moves, np.ndarray):
+        return brought(capped_offsets, moves, features)
+    return capped(joint_offsets(moves, features), soft=False)
 
 
 def load_denoiser(path: str | Path) -> Denoiser:

@@ -9,6 +9,7 @@ import torch
 from torch import nn
 
 from bunraku.apparel.clothed import ClothedCharacter
+from bunraku.apparel.learned import network
 from bunraku.apparel.learned.features import (
     BASIS,
     GLOBAL,
@@ -32,7 +33,9 @@ from bunraku.apparel.learned.network import (
 )
 from bunraku.apparel.nodes import ApparelNodes
 from bunraku.core.body.layout import JOINT_COUNT, JOINT_MIRROR
+from bunraku.core.nn.layers import Weights
 from bunraku_lab.nn.checkpoints import SavedNetwork
+from bunraku_lab.nn.differentiable import arrays_of
 from bunraku_lab.nn.graph import EdgeBlock, NodeGraph
 
 
@@ -254,6 +257,11 @@ class DisplacementNetwork(SavedNetwork):
         self.recurrent = (
             RecurrentPart(config.recurrent, config.blocks, config.frame == "world") if config.recurrent else None
         )
+
+
+def running_displacement(model: DisplacementNetwork) -> network.DisplacementNetwork:
+    """A displacement network as the runtime has it, with a copy of the weights."""
+    return network.DisplacementNetwork(model.config, Weights(arrays_of(model)))
 
 
 def normalize_inputs(model: DisplacementNetwork, nodes: torch.Tensor) -> None:

@@ -57,6 +57,12 @@ class _NeighbourMax(torch.autograd.Function):
         return out, None
 
 
+def largest_neighbour(values: torch.Tensor, graph: HasNeighbours) -> torch.Tensor:
+    """The largest of each channel among the neighbours of each vertex, shape (V, C) -> (V, C)."""
+    result: torch.Tensor = _NeighbourMax.apply(values, graph)  # type: ignore[no-untyped-call]
+    return result
+
+
 class EdgeConv(nn.Module):
     """max over neighbours j of `W1 x_i + W2 (x_j - x_i) + b` (Wang et al. 2019), as `(W1 - W2) x_i + b + max_j W2 x_j`.
 
@@ -70,8 +76,7 @@ class EdgeConv(nn.Module):
 
     def forward(self, x: torch.Tensor, graph: HasNeighbours) -> torch.Tensor:
         values = self.neighbour(x)
-        result: torch.Tensor = self.own(x) - values + _NeighbourMax.apply(values, graph)  # type: ignore[no-untyped-call]
-        return result
+        return torch.as_tensor(self.own(x) - values + largest_neighbour(values, graph))
 
 
 def edge_conv_reference(layer: EdgeConv, x: torch.Tensor, graph: HasNeighbours) -> torch.Tensor:
@@ -143,72 +148,6 @@ def mesh_graph(
     )
     seen, shares, where, *more = map(torch.from_numpy, fields)
     return MeshGraph(seen, shares, tuple(map(torch.from_numpy, ranks)), where, *more)
-
-
-class AnchorBlock(nn.Module):
-    """One round in which the anchors pass messages: attention, then an MLP, each added to its input.
-
-    Args:
-        width: Channels.
-        heads: Attention heads.
-        quiet: Start without effect, so that a deeper network begins as the shallower one it grew from.
-
-    Shapes: (M, width) -> (M, width).
-    """
-
-    def __init__(self, width: int, heads: int, quiet: bool = False):
-        super().__init__()
-        if heads < 1 or width % heads:
-            raise ValueError(f"{width} channels cannot be shared by {heads} heads")
-        self.heads = heads
-        self.norm_attention = nn.LayerNorm(width)
-        self.attention = nn.Linear(width, 3 * width)
-        self.merge = nn.Linear(width, width)
-        self.norm_mix = nn.LayerNorm(width)
-        last = nn.Linear(2 * width, width)
-        self.mix = nn.Sequential(nn.Linear(width, 2 * width), nn.GELU(), last)
-        if quiet:
-            for layer in (self.merge, last):
-                nn.init.zeros_(layer.weight)
-                nn.init.zeros_(layer.bias)
-
-    def forward(self, tokens: torch.Tensor) -> torch.Tensor:
-        count, width = tokens.shape
-        q, k, v = (
-            self.attention(self.norm_attention(tokens))
-            .reshape(count, 3, self.heads, width // self.heads)
-            .permute(1, 2, 0, 3)
-        )
-        mixed = nn.functional.scaled_dot_product_attention(q[None], k[None], v[None])[0]
-        tokens = tokens + self.merge(mixed.transpose(0, 1).reshape(count, width))
-        result: torch.Tensor = tokens + self.mix(self.norm_mix(tokens))
-        return result
-
-
-class GraphLayer(nn.Module):
-    """`LayerNorm(EdgeConv(x) + spread(blocks(gather(x))))`, then GELU.
-
-    Shapes: (V, width_in) -> (V, width_out).
-    """
-
-    def __init__(self, width_in: int, width_out: int, heads: int = 4, depth: int = 1):
-        super().__init__()
-        self.fine = EdgeConv(width_in, width_out)
-        self.enter = nn.Linear(width_in + 3, width_out)
-        self.blocks = nn.ModuleList(AnchorBlock(width_out, heads, quiet=n > 0) for n in range(depth))
-        self.norm = nn.LayerNorm(width_out)
-
-    def coarse(self, x: torch.Tensor, graph: MeshGraph) -> torch.Tensor:
-        """Features of the anchors after they have attended to one another, shape (M, width_out)."""
-        tokens: torch.Tensor = self.enter(torch.cat([graph.gather @ x.float(), graph.anchors], dim=-1))
-        for block in self.blocks:
-            tokens = block(tokens)
-        return tokens
-
-    def forward(self, x: torch.Tensor, graph: MeshGraph) -> torch.Tensor:
-        both = self.fine(x, graph) + graph.spread @ self.coarse(x, graph).float()
-        result: torch.Tensor = nn.functional.gelu(self.norm(both))
-        return result
 
 
 @dataclass

@@ -1,18 +1,23 @@
-"""The networks of a character at rest: the Mesh Handle Predictor (section 3.1 of TapMo), and orientation."""
+"""The networks of a character at rest as they learn: the Mesh Handle Predictor (section 3.1 of TapMo), and
+orientation.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
+import numpy as np
 import torch
 from torch import nn
 
-from bunraku.anatomy.handles.networks import TOKEN, OrientationConfig, PredictorConfig, predictor_config
+from bunraku.anatomy.handles import networks
+from bunraku.anatomy.handles.networks import OrientationConfig, PredictorConfig, predictor_config, turned_tokens
 from bunraku.core.geometry.axes import right_angle_rotations
 from bunraku.errors import WeightsError
-from bunraku_lab.nn.checkpoints import SavedNetwork, load_checkpoint
-from bunraku_lab.nn.graph import GraphLayer, MeshGraph
+from bunraku_lab.nn.checkpoints import load_checkpoint
+from bunraku_lab.nn.differentiable import Array, Trainable
+from bunraku_lab.nn.graph import MeshGraph, largest_neighbour
 
 
 class HandlePrediction(NamedTuple):
@@ -29,46 +34,39 @@ class HandlePrediction(NamedTuple):
     features: torch.Tensor
 
 
-class HandlePredictor(SavedNetwork):
-    """Three graph layers and a three-layer MLP with softmax (A.2).
+class _ArrayGraph:
+    """A mesh as the runtime's predictor reads it, of tensors."""
 
-    f_phi is the three levels pooled over the mesh and joined, 64 + 128 + 256 = 448 numbers: the first half of each
-    level's channels by their largest value, the second half by their mean over the surface.
-    """
+    def __init__(self, graph: MeshGraph):
+        self._graph = graph
+        self.inputs, self.areas, self.spread, self.gather, self.anchors = (
+            Array(part) for part in (graph.inputs, graph.areas, graph.spread, graph.gather, graph.anchors)
+        )
 
-    kind = "handles"
-    shape = PredictorConfig
-    key = "predictor"
+    def largest_neighbour(self, values: Array) -> Array:
+        return Array(largest_neighbour(values.tensor, self._graph))
+
+
+class HandlePredictor(Trainable):
+    """`bunraku.anatomy.handles.networks.HandlePredictor` as it learns."""
+
+    kind, shape, key, network = "handles", PredictorConfig, "predictor", networks.HandlePredictor
 
     @classmethod
     def config_from(cls, fields: dict[str, object]) -> PredictorConfig:
         return predictor_config(fields)
 
-    def __init__(self, config: PredictorConfig | None = None):
-        super().__init__()
-        self.config = config or PredictorConfig()
-        widths = (6, *self.config.levels)
-        self.layers = nn.ModuleList(
-            GraphLayer(a, b, self.config.heads, self.config.depth) for a, b in zip(widths, widths[1:], strict=False)
-        )
-        length = sum(self.config.levels)
-        first, second = self.config.hidden
-        self.local = nn.Linear(length + 6, first)
-        self.overall = nn.Linear(length, first, bias=False)
-        self.head = nn.Sequential(
-            nn.LayerNorm(first), nn.GELU(), nn.Linear(first, second), nn.GELU(), nn.Linear(second, self.config.handles)
-        )
+    def begin(self) -> None:
+        """All rounds of the anchors but the first begin without effect, so that a deeper network begins as the
+        shallower one that it grew from.
+        """
+        for name, value in self.named_parameters():
+            _, block, rest = name.partition(".blocks.")
+            if block and rest[:2] != "0." and rest.split(".", 1)[1].startswith(("merge", "mix.2")):
+                nn.init.zeros_(value)
 
     def forward(self, graph: MeshGraph) -> HandlePrediction:
-        x, levels, pooled = graph.inputs, [], []
-        for layer in self.layers:
-            x = layer(x, graph)
-            half = x.shape[1] // 2
-            pooled += [x[:, :half].amax(0), graph.areas @ x[:, half:].float()]
-            levels.append(x)
-        features = torch.cat([part.float() for part in pooled])
-        hidden = self.local(torch.cat([*levels, graph.inputs], dim=-1)) + self.overall(features)
-        logits = self.head(hidden).float()
+        logits, features = (part.tensor.float() for part in self.learning().logits(_ArrayGraph(graph)))
         return HandlePrediction(logits, logits.softmax(-1), features)
 
 
@@ -91,80 +89,18 @@ def grow_predictor(model: HandlePredictor, path: str | Path) -> None:
         )
 
 
-def rotated_tokens(tokens: torch.Tensor, rotations: torch.Tensor) -> torch.Tensor:
-    """Tokens of the mesh in some rotations, shapes (..., M, 10), (R, 3, 3) -> (..., R, M, 10)."""
-    parts = tokens.unsqueeze(-3)
-    back = rotations.transpose(-1, -2)
-    shares = parts[..., 9:].expand(*tokens.shape[:-2], len(rotations), -1, 1)
-    return torch.cat([parts[..., :3] @ back, parts[..., 3:6] @ back, parts[..., 6:9] @ back.abs(), shares], -1)
+class OrientationPredictor(Trainable):
+    """`bunraku.anatomy.handles.networks.OrientationPredictor` as it learns."""
 
-
-class _Layer(nn.Module):
-    """Attention and a two-layer MLP, each after a LayerNorm and added to what came in."""
-
-    def __init__(self, width: int, heads: int):
-        super().__init__()
-        if heads < 1 or width % heads:
-            raise ValueError(f"{width} channels cannot be shared by {heads} heads")
-        self.heads = heads
-        self.norm = nn.LayerNorm(width)
-        self.attention = nn.Linear(width, 3 * width)
-        self.merge = nn.Linear(width, width)
-        self.mix = nn.Sequential(
-            nn.LayerNorm(width), nn.Linear(width, 2 * width), nn.GELU(), nn.Linear(2 * width, width)
-        )
-
-    def forward(self, x: torch.Tensor) -> torch.Tensor:
-        count, length, width = x.shape
-        q, k, v = (
-            self.attention(self.norm(x))
-            .reshape(count, length, 3, self.heads, width // self.heads)
-            .permute(2, 0, 3, 1, 4)
-        )
-        mixed = nn.functional.scaled_dot_product_attention(q, k, v).transpose(1, 2).reshape(count, length, width)
-        x = x + self.merge(mixed)
-        out: torch.Tensor = x + self.mix(x)
-        return out
-
-
-class OrientationPredictor(SavedNetwork):
-    """A transformer over the tokens of a mesh, and one number at its end: how upright and forward the mesh stands."""
-
-    kind = "orientation"
-    shape = OrientationConfig
-    key = "predictor"
-
-    rotations: torch.Tensor
-
-    def __init__(self, config: OrientationConfig | None = None):
-        super().__init__()
-        self.config = config or OrientationConfig()
-        width = self.config.width
-        self.enter = nn.Sequential(nn.Linear(TOKEN, width), nn.GELU(), nn.Linear(width, width))
-        self.layers = nn.ModuleList(_Layer(width, self.config.heads) for _ in range(self.config.layers))
-        self.norm = nn.LayerNorm(width)
-        self.head = nn.Sequential(nn.Linear(2 * width, width), nn.GELU(), nn.Linear(width, 1))
-        self.register_buffer("rotations", torch.from_numpy(right_angle_rotations()).float(), persistent=False)
+    kind, shape, key, network = "orientation", OrientationConfig, "predictor", networks.OrientationPredictor
 
     def forward(self, tokens: torch.Tensor) -> torch.Tensor:
         """Score of each mesh as it stands, shape (B, M, 10) -> (B,)."""
-        x = self.enter(tokens)
-        for layer in self.layers:
-            x = layer(x)
-        x = self.norm(x)
-        pooled = torch.cat([x.mean(dim=1), x.amax(dim=1)], dim=-1)
-        out: torch.Tensor = self.head(pooled)[:, 0]
-        return out
+        return cast(torch.Tensor, self.learning()(Array(tokens)).tensor)
 
-    def scores(self, tokens: torch.Tensor, rotations: torch.Tensor | None = None) -> torch.Tensor:
-        """Scores of meshes in several rotations, the 24 of `ORIENTATIONS` by default, shape (B, M, 10) -> (B, R)."""
-        turned = rotated_tokens(tokens, self.rotations if rotations is None else rotations)
-        result: torch.Tensor = self(turned.flatten(0, 1)).reshape(turned.shape[:2])
-        return result
-
-    def probabilities(self, tokens: torch.Tensor) -> torch.Tensor:
-        """Probability of each of `ORIENTATIONS`, from the mesh and its mirror image, shape (M, 10) -> (24,)."""
-        mirror = tokens.new_tensor([-1.0, 1, 1, -1, 1, 1, 1, 1, 1, 1])
-        turned = rotated_tokens(tokens, self.rotations)
-        scores = self(torch.cat([turned, turned * mirror])).reshape(2, -1).mean(dim=0)
-        return (scores / self.config.temperature).softmax(-1)
+    def scores(self, tokens: np.ndarray, chosen: Any = slice(None)) -> torch.Tensor:
+        """Scores of meshes in the orientations that are `chosen` among the 24, shape (B, M, 10) -> (B, R)."""
+        turned = turned_tokens(tokens, right_angle_rotations()[chosen].astype(np.float32))
+        first = next(self.parameters())
+        result: torch.Tensor = self(torch.from_numpy(turned.reshape(-1, *turned.shape[2:])).to(first.device))
+        return result.reshape(turned.shape[:2])

@@ -13,12 +13,14 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from bunraku.core.nn.checkpoints import config_of
+from bunraku.core.nn.layers import Weights
 from bunraku.errors import WeightsError
 from bunraku.generation import extractor as running
 from bunraku.generation.extractor import FARTHEST, KIND, RADIUS, ExtractorConfig
 from bunraku.generation.features import FEATURE_SIZE, feature_weights
 from bunraku.language import encoders
 from bunraku_lab.nn.checkpoints import fitted_network, load_checkpoint, save_checkpoint
+from bunraku_lab.nn.differentiable import arrays_of
 
 
 @dataclass(frozen=True)
@@ -156,6 +158,11 @@ class Extractor(nn.Module):
         return RADIUS * F.normalize(
             self.text_out(self.text_norm(torch.cat([_mean(h, text.mask), pooled.to(h.dtype)], dim=-1))).float(), dim=-1
         )
+
+
+def running_extractor(model: Extractor) -> running.Extractor:
+    """An extractor as the runtime has it, with a copy of the weights."""
+    return running.Extractor(model.config, Weights(arrays_of(model)), dict(model.notes))
 
 
 def save_extractor(

@@ -83,21 +83,14 @@ def validate_orientation(
     Returns:
         Shape (C, 1 + variants, 24).
     """
-    model.eval()
+    network = model.running()
     rows = []
     for number, c in enumerate(characters):
         rng = np.random.default_rng([seed, number])
         tokens = [shape_tokens(c.vertices, c.normals, c.areas, model.config.anchors)] + [
             varied_tokens(c, rng, model.config.anchors) for _ in range(variants)
         ]
-        rows.append(
-            np.stack(
-                [
-                    model.probabilities(torch.from_numpy(some).to(model.rotations.device)).log().cpu().numpy()
-                    for some in tokens
-                ]
-            )
-        )
+        rows.append(np.log([network.probabilities(some) for some in tokens]))
     return np.stack(rows)
 
 
@@ -188,10 +181,10 @@ class OrientationTrainer(AveragedRun[OrientationPredictor]):
             raise OptionError(f"{self.config.start}: its network has another shape than this run; give its settings")
         model.load_state_dict(given.state_dict())
 
-    def loss(self, tokens: torch.Tensor, others: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
+    def loss(self, tokens: np.ndarray, others: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
         """Cross-entropy of the upright orientation against three other fronts and a sample; and the scores."""
         chosen = [*FRONTS, *others]
-        scores = self.model.scores(tokens, self.model.rotations[chosen])
+        scores = self.model.scores(tokens, chosen)
         offset = torch.zeros(len(chosen), device=scores.device)
         offset[len(FRONTS) :] = math.log(len(OTHERS) / len(others))
         target = torch.full((len(scores),), chosen.index(UPRIGHT), device=scores.device)
@@ -210,7 +203,7 @@ class OrientationTrainer(AveragedRun[OrientationPredictor]):
             )
             tokens.append(varied_tokens(character, self.rng, config.predictor.anchors, config.tilt, config.augment))
         others = self.rng.choice(OTHERS, size=min(config.others, len(OTHERS)), replace=False)
-        loss, scores = self.loss(torch.from_numpy(np.stack(tokens)).to(config.device), others)
+        loss, scores = self.loss(np.stack(tokens), others)
         won = float((scores.argmax(1) == FRONTS.index(UPRIGHT)).float().mean())
         return loss, {"won": won}
 

@@ -7,8 +7,7 @@ from bunraku.errors import OptionError, WeightsError
 from bunraku.generation.extractor import RADIUS, ExtractorConfig, embed_motions, load_extractor
 from bunraku_lab.datasets.motions.clips import write_clip, write_index
 from bunraku_lab.evaluation.motion.train_extractor import ExtractorTrainConfig, train_extractor
-from bunraku_lab.nn.running import running_extractor
-from bunraku_lab.nn.text import Extractor, embed_sentences, save_extractor
+from bunraku_lab.nn.text import Extractor, embed_sentences, running_extractor, save_extractor
 
 TINY = ExtractorConfig(
     width=16, layers=1, heads=2, feedforward=32, embedding=8, text_size=8, pooled_size=8, text_encoder="words",

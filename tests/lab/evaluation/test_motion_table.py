@@ -21,7 +21,6 @@ from bunraku_lab.evaluation.motion.viewer_prompts import VIEWER_BARS
 from bunraku_lab.evaluation.report import KeptParts
 from bunraku_lab.evaluation.tables.tapmo import DistortionConfig, measure_handles
 from bunraku_lab.nn.denoiser import Denoiser, save_denoiser
-from bunraku_lab.nn.running import running_denoiser
 from bunraku_lab.nn.text import Extractor, save_extractor
 
 
@@ -133,7 +132,7 @@ def test_the_same_seed_gives_the_same_table_and_a_cache_is_used(folder, tmp_path
 
 def test_a_broken_batch_is_made_again(tmp_path):
     torch.manual_seed(0)
-    model = running_denoiser(Denoiser(network()))
+    model = Denoiser(network()).running()
     requests = [Request("walk", 40), Request("jump", 30), Request("run", 40)]
     how = {"folder": tmp_path, "digest": "a"}
     first = make_motions(model, WordEncoder(), requests, SamplerSettings(2, 2.5), **how)

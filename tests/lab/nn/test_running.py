@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 import torch
 
-from bunraku.anatomy.handles.networks import OrientationConfig, PredictorConfig, mesh_graph, shape_tokens
-from bunraku.anatomy.handles.networks import turned_tokens as turned_arrays
+from bunraku.anatomy.handles.networks import OrientationConfig, PredictorConfig, mesh_graph, shape_tokens, turned_tokens
 from bunraku.core.body.reference import reference_body
+from bunraku.core.geometry.axes import right_angle_rotations
 from bunraku.core.geometry.simplify import network_mesh
 from bunraku.core.nn.checkpoints import shipped_checkpoint
 from bunraku.core.nn.layers import gelu, gelu_slope
@@ -23,16 +23,15 @@ from bunraku.generation.extractor import RADIUS, ExtractorConfig
 from bunraku.generation.extractor import load_extractor as load_running_extractor
 from bunraku_lab.nn import graph as tensors
 from bunraku_lab.nn.checkpoints import load_training_state
-from bunraku_lab.nn.denoiser import Denoiser, RetrievedExamples, load_denoiser, save_denoiser
-from bunraku_lab.nn.handles import HandlePredictor, OrientationPredictor, rotated_tokens
-from bunraku_lab.nn.running import (
-    running_denoiser,
+from bunraku_lab.nn.denoiser import (
+    Denoiser,
+    RetrievedExamples,
+    load_denoiser,
     running_examples,
-    running_extractor,
-    running_orientation,
-    running_predictor,
+    save_denoiser,
 )
-from bunraku_lab.nn.text import Extractor, load_extractor, save_extractor
+from bunraku_lab.nn.handles import HandlePredictor, OrientationPredictor
+from bunraku_lab.nn.text import Extractor, load_extractor, running_extractor, save_extractor
 
 KINDS = {
     "plain": {}, "one frame a token": {"frames_per_token": 1}, "examples": {"examples": 3},
@@ -70,7 +69,7 @@ def denoised(model, found, keep, examples=None):
 @pytest.mark.parametrize("kind", KINDS)
 def test_denoisers(config, kind):
     model = tiny_denoiser(config, **KINDS[kind])
-    found = running_denoiser(model)
+    found = model.running()
     torch.manual_seed(2)
     keep = torch.tensor([True, False, True, True])
     examples = None
@@ -143,12 +142,10 @@ def test_orientation():
     points = np.random.default_rng(0).normal(size=(200, 3))
     normals = points / np.linalg.norm(points, axis=1, keepdims=True)
     tokens = shape_tokens(points * [1, 2, 0.5], normals, np.ones(200), 24)
-    found = running_orientation(model)
-    np.testing.assert_allclose(
-        found.probabilities(tokens), model.probabilities(torch.from_numpy(tokens)), atol=1e-5, rtol=1e-4
-    )
-    turned = rotated_tokens(torch.from_numpy(tokens), model.rotations)
-    np.testing.assert_allclose(turned_arrays(tokens, model.rotations.numpy()), turned, atol=1e-6)
+    turned = turned_tokens(tokens, right_angle_rotations().astype(np.float32))
+    both = np.stack([turned, turned * np.array([-1, 1, 1, -1, 1, 1, 1, 1, 1, 1], np.float32)])
+    expected = (model(torch.from_numpy(both).flatten(0, 1)).reshape(2, -1).mean(0) / 1.3).softmax(-1)
+    np.testing.assert_allclose(model.running().probabilities(tokens), expected, atol=1e-5, rtol=1e-4)
 
 
 def test_handles():
@@ -157,7 +154,7 @@ def test_handles():
     model = randomised(HandlePredictor(PredictorConfig((8, 12, 16), (24, 16), heads=2, anchors=40, depth=2)))
     arrays = mesh.vertices, mesh.normals, mesh.edges, mesh.areas, 40
     graph, theirs = mesh_graph(*arrays), tensors.mesh_graph(*arrays)
-    found = running_predictor(model)
+    found = model.running()
     for one, other in ((graph, theirs), (graph.mirrored(), theirs.mirrored())):
         ours, expected = found(one), model(other)
         np.testing.assert_allclose(ours.weights[one.position], expected.weights, atol=1e-5)

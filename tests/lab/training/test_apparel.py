@@ -14,8 +14,7 @@ from bunraku_lab.datasets.apparel import ApparelData
 from bunraku_lab.datasets.apparel.build import build_apparel
 from bunraku_lab.datasets.apparel.plan import choose_motions, motion_sources, plan_shards, wardrobe_sources
 from bunraku_lab.datasets.motions.clips import write_clip, write_index
-from bunraku_lab.nn.apparel import DisplacementNetwork
-from bunraku_lab.nn.running import running_displacement
+from bunraku_lab.nn.apparel import DisplacementNetwork, running_displacement
 from bunraku_lab.synthetic.stock_motions import stock_motion
 from bunraku_lab.training.apparel.body import (
     BodyConfig,

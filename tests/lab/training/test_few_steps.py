@@ -15,8 +15,7 @@ from bunraku_lab.evaluation.motion.samples import sample
 from bunraku_lab.nn.checkpoints import load_training_state
 from bunraku_lab.nn.denoiser import load_denoiser as load_torch_denoiser
 from bunraku_lab.nn.denoiser import save_denoiser
-from bunraku_lab.nn.running import running_denoiser, running_extractor
-from bunraku_lab.nn.text import Extractor, tensors_of
+from bunraku_lab.nn.text import Extractor, running_extractor, tensors_of
 from bunraku_lab.training.few_steps.teacher import Teacher, draw_trajectories, visited_steps
 from bunraku_lab.training.few_steps.train import FewStepsConfig, train_few_steps
 from bunraku_lab.training.rows.clip_rows import ClipSet
@@ -56,7 +55,7 @@ def test_the_teacher_draws_what_users_see(teacher, swings, encoder, critic, mesh
         features = torch.randn(len(own.lengths), model.config.mesh_features, generator=torch.Generator().manual_seed(9))
         own = replace(own, mesh=features, known=torch.ones_like(own.known))
     noise = torch.randn(own.clean.shape, generator=torch.Generator().manual_seed(3))
-    network, lengths = running_denoiser(model), own.lengths.numpy()
+    network, lengths = model.running(), own.lengths.numpy()
     longest, guidance, pull = noise.shape[1], 2.0, None
     if critic:
         torch.manual_seed(4)

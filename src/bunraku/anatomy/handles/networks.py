@@ -233,10 +233,15 @@ class HandlePredictor:
         self._local = weights.linear("local", length + 6, first)
         self._overall = weights.linear("overall", length, first, bias=False)
         head = weights.perceptron("head.2 head.4", first, second, config.handles)
-        self._head = weights.norm("head.0", first), gelu, head, softmax
+        self._head = weights.norm("head.0", first), gelu, head
 
     def __call__(self, graph: MeshGraph) -> HandlePrediction:
         """What it says of a mesh."""
+        logits, features = self.logits(graph)
+        return HandlePrediction(softmax(logits), features)
+
+    def logits(self, graph: MeshGraph) -> tuple[np.ndarray, np.ndarray]:
+        """The weights before their softmax, shape (V, K), and the features."""
         x, levels, pooled = graph.inputs, [], []
         for layer in self._layers:
             x = layer(x, graph)
@@ -246,7 +251,7 @@ class HandlePredictor:
         features = np.concatenate(pooled)
         hidden = self._local(np.concatenate([*levels, graph.inputs], axis=-1))
         hidden += self._overall(features[None])
-        return HandlePrediction(through(self._head, hidden), features)
+        return through(self._head, hidden), features
 
 
 def predictor_config(shape: dict[str, object]) -> PredictorConfig:
@@ -339,10 +344,12 @@ def shape_tokens(points: np.ndarray, normals: np.ndarray, areas: np.ndarray, anc
 
 
 def turned_tokens(tokens: np.ndarray, rotations: np.ndarray) -> np.ndarray:
-    """Tokens of a mesh turned by each of some rotations by right angles, shapes (M, 10), (R, 3, 3) -> (R, M, 10)."""
-    back = rotations.swapaxes(-1, -2)
-    shares = np.broadcast_to(tokens[:, 9:], (len(rotations), len(tokens), 1))
-    return np.concatenate([tokens[:, :3] @ back, tokens[:, 3:6] @ back, tokens[:, 6:9] @ np.abs(back), shares], axis=-1)
+    """Tokens of meshes turned by each of some rotations by right angles, shapes (..., M, 10), (R, 3, 3) -> (..., R, M,
+    10).
+    """
+    parts, back = tokens[..., None, :, :], rotations.swapaxes(-1, -2)
+    shares = np.broadcast_to(parts[..., 9:], (*tokens.shape[:-2], len(rotations), tokens.shape[-2], 1))
+    return np.concatenate([parts[..., :3] @ back, parts[..., 3:6] @ back, parts[..., 6:9] @ np.abs(back), shares], -1)
 
 
 class OrientationPredictor:

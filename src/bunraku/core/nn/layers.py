@@ -29,6 +29,14 @@ _GELU = tuple(np.float32(value) for value in (
 beyond, both are 1.
 """
 
+
+def brought(function: Callable[..., Any], x: Any, *arguments: Any) -> Any:
+    """The same of another kind of array, which brings its own, by the protocol of numpy's functions (NEP 18): torch's
+    tensors do so in training.
+    """
+    return x.__array_function__(function, (type(x),), (x, *arguments), {})
+
+
 Rotary = tuple[np.ndarray, np.ndarray]
 """Cosines and sines of rotary positions (Su et al. 2021), shape (T, d/H/2) each."""
 
@@ -101,20 +109,18 @@ class Attention(NamedTuple):
             gate: Factor of what is added.
         """
         batch, length, width = x.shape
-        entered = normed(x, norm).reshape(-1, width) @ self.enter.matrix
-        entered += self.enter.bias
-        parts = entered.reshape(batch, length, -1, self.heads, width // self.heads).transpose(2, 0, 3, 1, 4)
+        entered = self.enter(normed(x, norm)).reshape(batch, length, -1, self.heads, width // self.heads)
+        parts = entered.transpose(2, 0, 3, 1, 4)
         if memory is None:
             query, key = parts[:2] if rotary is None else apply_rotary(parts[:2], rotary)
             mixed = attended(query, key, parts[2], hidden)
         else:
             query = parts[0] if rotary is None else apply_rotary(parts[0], rotary)
             mixed = attended(query, memory.keys, memory.values, hidden)
-        entered = (mixed.reshape(-1, width) @ self.leave.matrix).reshape(x.shape)
-        entered += self.leave.bias
+        left = self.leave(mixed)
         if gate is not None:
-            entered *= gate
-        x += entered
+            left *= gate
+        x += left
         return x
 
 
@@ -126,13 +132,10 @@ class FeedForward(NamedTuple):
 
     def __call__(self, x: np.ndarray, norm: Norm, gate: np.ndarray | None = None) -> np.ndarray:
         """The next hidden states; writes on `x`, shape (..., d)."""
-        widened = normed(x, norm).reshape(-1, x.shape[-1]) @ self.wide.matrix
-        widened += self.wide.bias
-        widened = (gelu(widened) @ self.narrow.matrix).reshape(x.shape)
-        widened += self.narrow.bias
+        narrowed = self.narrow(gelu(self.wide(normed(x, norm))))
         if gate is not None:
-            widened *= gate
-        x += widened
+            narrowed *= gate
+        x += narrowed
         return x
 
 
@@ -203,6 +206,8 @@ def through_parts(layers: Sequence[Any], parts: Sequence[np.ndarray]) -> np.ndar
 
 def normed(x: np.ndarray, norm: Norm | None = None) -> np.ndarray:
     """Layer norm over the last axis, without scale and shift where no norm is given."""
+    if not isinstance(x, np.ndarray):
+        return brought(normed, x, norm)
     out = x - x.mean(-1, keepdims=True)
     variance = np.einsum("...i,...i->...", out, out)
     variance /= np.float32(x.shape[-1])
@@ -218,6 +223,8 @@ def gelu(x: np.ndarray, share: bool = False) -> np.ndarray:
     """x times the share of a normal distribution below x (Hendrycks & Gimpel 2016), to 1e-6, or that `share` alone;
     writes on a contiguous array.
     """
+    if not isinstance(x, np.ndarray):
+        return brought(gelu, x)
     flat = x.reshape(-1)
     room = np.empty((2, min(flat.size, _PIECE)), np.float32)
     for start in range(0, flat.size, _PIECE):
@@ -255,6 +262,8 @@ def sigmoid(x: np.ndarray) -> np.ndarray:
 
 def silu(x: np.ndarray) -> np.ndarray:
     """x times its sigmoid."""
+    if not isinstance(x, np.ndarray):
+        return brought(silu, x)
     return np.asarray(x * sigmoid(x))
 
 
@@ -268,6 +277,8 @@ def softmax(scores: np.ndarray) -> np.ndarray:
 
 def hidden_by(mask: np.ndarray) -> np.ndarray | None:
     """What hides all but what is True in a mask (B, M) when added to scores, (B, 1, 1, M); None where all is True."""
+    if not isinstance(mask, np.ndarray):
+        return brought(hidden_by, mask)
     return None if mask.all() else np.where(mask, np.float32(0), _NEVER)[:, None, None]
 
 
@@ -278,6 +289,8 @@ def split_heads(x: np.ndarray, heads: int, parts: int = 1) -> tuple[np.ndarray, 
 
 def apply_rotary(x: np.ndarray, rotary: Rotary) -> np.ndarray:
     """Queries or keys with their positions in time, shape (..., T, d/H)."""
+    if not isinstance(x, np.ndarray):
+        return brought(apply_rotary, x, rotary)
     half = x.shape[-1] // 2
     first, second = x[..., :half], x[..., half:]
     cos, sin = rotary
@@ -289,6 +302,8 @@ def apply_rotary(x: np.ndarray, rotary: Rotary) -> np.ndarray:
 
 def attended(query: np.ndarray, key: np.ndarray, value: np.ndarray, hidden: np.ndarray | None = None) -> np.ndarray:
     """Attention (Vaswani et al. 2017) of queries (B, H, T, d) to keys and values (B, H, M, d), shape (B, T, H d)."""
+    if not isinstance(query, np.ndarray):
+        return brought(attended, query, key, value, hidden)
     scores = np.matmul(query, key.swapaxes(-1, -2))
     scores *= np.float32(query.shape[-1] ** -0.5)
     if hidden is not None:
@@ -298,6 +313,15 @@ def attended(query: np.ndarray, key: np.ndarray, value: np.ndarray, hidden: np.n
     out = np.empty((batch, length, heads, size), np.float32)
     np.matmul(scores, value, out=out.transpose(0, 2, 1, 3))
     return out.reshape(batch, length, heads * size)
+
+
+def padded(x: np.ndarray, length: int) -> np.ndarray:
+    """With zeros behind, shape (..., N, D) -> (..., length, D), float32."""
+    if not isinstance(x, np.ndarray):
+        return brought(padded, x, length)
+    out = np.zeros((*x.shape[:-2], length, x.shape[-1]), np.float32)
+    out[..., : x.shape[-2], :] = x
+    return out
 
 
 def rotary_positions(tokens: np.ndarray, size: int) -> Rotary:

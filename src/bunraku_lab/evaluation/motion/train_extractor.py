@@ -23,8 +23,7 @@ from bunraku.language.encoders import TextEncoder, text_encoder
 from bunraku_lab.description.captions import caption_variants
 from bunraku_lab.evaluation.motion.metrics import r_precision
 from bunraku_lab.evaluation.motion.samples import Window, candidate_sentences, draw_windows, window_features
-from bunraku_lab.nn.running import running_extractor
-from bunraku_lab.nn.text import embed_sentences
+from bunraku_lab.nn.text import embed_sentences, running_extractor
 from bunraku_lab.training.matching import MatchingRun, MatchingTrainConfig, captions_of, for_encoder
 from bunraku_lab.training.rows.banks import TextBank
 from bunraku_lab.training.rows.clips import ClipEntry, load_people

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -330,11 +331,12 @@ def collect_pairs(
         text, yes = tensors_of(encoder.encode(sentences)).to(device), torch.ones(size, dtype=torch.bool, device=device)
         row = torch.tensor(chosen)
         condition = model.condition(text.tokens, text.mask, text.pooled, bank.features[row].to(device), yes, yes)
+        mesh = cast(Any, condition.mesh).tensor
         hidden = model.hidden(
             add_noise(clean, noise, step, curve), step, torch.full((size,), frames, device=device), condition
         )
         motion = model.motion_out(hidden).reshape(size, -1, model.config.features)[:, :frames]
-        seen = torch.cat([hidden, condition[0][:, :1].expand(-1, hidden.shape[1], -1)], dim=-1)
+        seen = torch.cat([hidden, mesh[:, None].expand(-1, hidden.shape[1], -1)], dim=-1)
         part = {"seen": seen.half().cpu(), "motion": motion.half().cpu(), "row": row}
         save_checkpoint(path, part, {"digest": plan.digest, "size": size}, KIND)
         parts.append(part)

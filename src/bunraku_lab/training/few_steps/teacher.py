@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from bunraku.core.geometry.curves import CUT
+from bunraku.core.nn.layers import Condition
 from bunraku.generation.candidates import LAST, SPREAD, STRENGTH
 from bunraku.generation.extractor import RADIUS, SHORTEST
 from bunraku.generation.sampler import GUIDED_FROM, ROOT, alphas_cumprod, dpm_solver, sampling_steps, token_share
@@ -25,8 +26,8 @@ class _Conditions(NamedTuple):
     (B, E), and which rows it guides (B,).
     """
 
-    sentence: tuple[Tensor, ...]
-    nothing: tuple[Tensor, ...]
+    sentence: Condition
+    nothing: Condition
     goals: Tensor | None
     guided: Tensor
 

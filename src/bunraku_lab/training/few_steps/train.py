@@ -78,8 +78,9 @@ def with_changes(model: nn.Module, rank: int, without: tuple[str, ...] = ()) -> 
     """
     model.requires_grad_(False)
     for name, layer in list(model.named_modules()):
-        if isinstance(layer, nn.Linear) and name not in without:
-            change = LowRank(layer.weight, min(rank, *layer.weight.shape))
+        weight = layer._parameters.get("weight")
+        if weight is not None and weight.ndim == 2 and name not in without:
+            change = LowRank(weight, min(rank, *weight.shape))
             parametrize.register_parametrization(layer, "weight", change)
     return model
 
