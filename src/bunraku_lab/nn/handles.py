@@ -14,6 +14,7 @@ from torch import nn
 from bunraku.anatomy.handles import networks
 from bunraku.anatomy.handles.networks import OrientationConfig, PredictorConfig, predictor_config, turned_tokens
 from bunraku.core.geometry.axes import right_angle_rotations
+from bunraku.core.nn.layers import through
 from bunraku.errors import WeightsError
 from bunraku_lab.nn.checkpoints import load_checkpoint
 from bunraku_lab.nn.differentiable import Array, Trainable
@@ -96,7 +97,7 @@ class OrientationPredictor(Trainable):
 
     def forward(self, tokens: torch.Tensor) -> torch.Tensor:
         """Score of each mesh as it stands, shape (B, M, 10) -> (B,)."""
-        return cast(torch.Tensor, self.learning()(Array(tokens)).tensor)
+        return cast(torch.Tensor, cast(Any, through(self.learning().layers, cast(Any, Array(tokens)))).tensor[:, 0])
 
     def scores(self, tokens: np.ndarray, chosen: Any = slice(None)) -> torch.Tensor:
         """Scores of meshes in the orientations that are `chosen` among the 24, shape (B, M, 10) -> (B, R)."""

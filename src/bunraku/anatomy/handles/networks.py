@@ -368,7 +368,7 @@ class OrientationPredictor:
         width = config.width
         names = "attention merge norm mix.1 mix.3 mix.0"
         layers = weights.pre_norms("layers", config.layers, names, width, config.heads, 2 * width)
-        self._layers = [
+        self.layers = [
             weights.perceptron("enter.0 enter.2", TOKEN, width, width), *layers, weights.norm("norm", width),
             mean_and_most, weights.perceptron("head.0 head.2", 2 * width, width, 1),
         ]  # fmt: skip
@@ -380,7 +380,7 @@ class OrientationPredictor:
         """
         mirror = np.array([-1, 1, 1, -1, 1, 1, 1, 1, 1, 1], np.float32)
         turned = turned_tokens(tokens, self._rotations)
-        scores = through_parts(self._layers, (*np.split(turned, 4), *np.split(turned * mirror, 4)))[:, 0]
+        scores = through_parts(self.layers, (*np.split(turned, 4), *np.split(turned * mirror, 4)))[:, 0]
         return softmax(scores.astype(np.float64).reshape(2, -1).mean(axis=0) / self.config.temperature)
 
 
