@@ -7,7 +7,7 @@ a tensor does (`Array`), and the weights that a network's constructor asks for a
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, NoReturn, cast
 
 import numpy as np
@@ -45,7 +45,7 @@ class Array(np.lib.mixins.NDArrayOperatorsMixin):
             return Array(self.tensor.index_select(0, key))
         return Array(self.tensor[_plain(key if isinstance(key, tuple) else (key,))])
 
-    def __array__(self, *_: Any, **__: Any) -> NoReturn:
+    def __array__(self, *_: object, **__: object) -> NoReturn:
         raise TypeError("a tensor that learns cannot become an array; add the function to `OPERATIONS`")
 
     def __getattr__(self, name: str) -> Callable[..., Array]:
@@ -56,7 +56,7 @@ class Array(np.lib.mixins.NDArrayOperatorsMixin):
     def __bool__(self) -> bool:
         return bool(self.tensor)
 
-    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, out: Any = None, **options: Any) -> Any:
+    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, out: Any = None, **options: object) -> Any:
         if method != "__call__" or options or ufunc not in OPERATIONS:
             return NotImplemented
         result = OPERATIONS[ufunc](*_plain(inputs, self.tensor.device))
@@ -65,7 +65,7 @@ class Array(np.lib.mixins.NDArrayOperatorsMixin):
         out[0].tensor = result
         return out[0]
 
-    def __array_function__(self, function: Any, _: Any, arguments: Any, options: dict[str, Any]) -> Any:
+    def __array_function__(self, function: Any, _: Any, arguments: Any, options: Mapping[str, object]) -> Any:
         if function not in OPERATIONS:
             return NotImplemented
         device = self.tensor.device

@@ -79,9 +79,9 @@ def pieces_of(clothed: ClothedCharacter) -> tuple[list[Piece], np.ndarray]:
     body = points[part < 0]
     gap = np.zeros(count) if not len(body) else cKDTree(body).query(points)[0]
     pieces = []
-    for kind, carrier, rows in groups:
-        holders = points[(part < 0) & np.isin(joint, _holding(carrier))]
-        pieces.append(_piece(clothed, kind, carrier, rows, points, gap, holders, border, edges))
+    for group in groups:
+        holders = points[(part < 0) & np.isin(joint, _holding(group[1]))]
+        pieces.append(_piece(clothed, group, points, gap, holders, border, edges))
     return pieces, clean.index
 
 
@@ -92,9 +92,10 @@ def _holding(joint: int) -> list[int]:
 
 
 def _piece(
-    clothed: ClothedCharacter, kind: str, joint: int, rows: np.ndarray, points: np.ndarray, gap: np.ndarray,
+    clothed: ClothedCharacter, group: tuple[str, int, np.ndarray], points: np.ndarray, gap: np.ndarray,
     holders: np.ndarray, border: np.ndarray, edges: np.ndarray,
 ) -> Piece:  # fmt: skip
+    kind, joint, rows = group
     positions, count = points[rows], len(rows)
     index = np.full(len(points), -1)
     index[rows] = np.arange(count)
