@@ -73,7 +73,7 @@ def tiny_denoiser(seed=0, **changes):
 
     torch.manual_seed(seed)
     model = Denoiser(tiny_config(**changes)).eval().requires_grad_(False)
-    for _, value in sorted(model.named_parameters()):  # drawn alike in whatever order a network makes them
+    for value in model.parameters():
         value.copy_(torch.randn(value.shape) * (0.3 if value.ndim < 2 else value.shape[-1] ** -0.5))
     return model
 

@@ -193,21 +193,16 @@ class Denoiser:
         if config.heads < 1 or width % (2 * config.heads) or patch < 1:
             raise ValueError(f"{width} channels cannot be shared by {config.heads} heads, or {patch} frames by a token")
         self.mean, self.std = weights.array("mean", config.features), weights.array("std", config.features)
+        # optimisers keep their state by the order of the weights, so a run that was stopped needs them in this one
         self.motion_in = weights.linear("motion_in", config.features * patch, width)
+        self.text_in = weights.linear("text_in", config.text_size, width)
         self.mesh_in = weights.linear("mesh_in", config.mesh_features, width)
         self.pooled_in = weights.linear("pooled_in", config.pooled_size, width)
-        self.null_pooled, self.null_mesh = weights.array("null_pooled", width), weights.array("null_mesh", width)
+        self.null_text, self.null_pooled, self.null_mesh = (
+            weights.array(name, width) for name in ("null_text", "null_pooled", "null_mesh")
+        )
         step_in = weights.perceptron("step_in.0 step_in.2", width, width, width)
         self.step_in = step_in.first, silu, step_in.second
-        self.motion_out = weights.linear("motion_out", width, config.features * patch)
-        seen = width * (2 if config.adaptation_mesh else 1)
-        self.adaptation_out = weights.linear("adaptation_out", seen, config.handles * 3 * patch)
-        self._build(weights)
-
-    def _build(self, weights: Weights) -> None:
-        config, width = self.config, self.config.width
-        self.text_in = weights.linear("text_in", config.text_size, width)
-        self.null_text = weights.array("null_text", width)
         self.steer = weights.linear("steer", width, 9 * width)
         shown = config.examples > 0
         self.layers = [
@@ -215,10 +210,13 @@ class Denoiser:
             for index, part in enumerate(weights.part(f"layers.{number}") for number in range(config.layers))
         ]
         self.final = weights.linear("final", width, 2 * width)
+        self.motion_out = weights.linear("motion_out", width, config.features * patch)
+        seen = width * (2 if config.adaptation_mesh else 1)
+        self.adaptation_out = weights.linear("adaptation_out", seen, config.handles * 3 * patch)
         self.steer_more = None
         if config.examples:
             self.steer_more = weights.linear("steer_more", width, 3 * width)
-            frames = config.features * config.frames_per_token * EXAMPLE_TOKENS
+            frames = config.features * patch * EXAMPLE_TOKENS
             self.example_in = weights.linear("example_in", frames, width)
             self.example_sentence_in = weights.linear("example_sentence_in", config.pooled_size, width)
             self.null_example = weights.array("null_example", width)

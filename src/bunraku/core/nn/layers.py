@@ -451,17 +451,17 @@ class DecoderLayer:
         self.heads = heads
         self.offset = weights.array("offset", 9, width)
         self.own = weights.attention("self_in", "self_out", width, heads)
-        query, out = weights.linear("cross_query", width, width), weights.linear("cross_out", width, width)
-        self.cross = Attention(query, out, heads)
+        query = weights.linear("cross_query", width, width)
         self.cross_memory = weights.linear("cross_memory", width, 2 * width)
+        self.cross = Attention(query, weights.linear("cross_out", width, width), heads)
         self.mix = weights.feed_forward("wide", "narrow", width, inner)
         if shown:
             self.offset = np.concatenate([self.offset, weights.array("offset_more", 3, width)])
         self.examples = None
         if examples:
             part = weights.part("examples")
-            query, out, self.example_key, self.example_value = (
-                part.linear(name, width, width) for name in ("query", "out", "key", "value")
+            query, self.example_key, self.example_value, out = (
+                part.linear(name, width, width) for name in ("query", "key", "value", "out")
             )
             self.examples = Attention(query, out, heads)
 
