@@ -205,8 +205,8 @@ class _Pieces:
         """Number of the group of parts that touch one another, for each of some parts, shape (n,)."""
         own = np.repeat(np.arange(len(parts)), [len(self.points[part]) for part in parts])
         cluster = len(parts) + _clusters(np.concatenate([self.points[part] for part in parts]), reach)
-        pairs = np.unique(np.stack([own, cluster]), axis=1)
-        return np.unique(_connected(pairs, int(cluster.max()) + 1)[: len(parts)], return_inverse=True)[1]
+        group = _connected(np.stack([own, cluster]), int(cluster.max()) + 1)[: len(parts)]
+        return np.unique(group, return_inverse=True)[1]
 
     def peers(self, own: np.ndarray, main: np.ndarray, share: float) -> bool:
         """Whether a group of parts is a character beside the main one: as large, on the same ground, and apart."""
@@ -231,7 +231,7 @@ def _clusters(points: np.ndarray, reach: float) -> np.ndarray:
     wide = cells.max(axis=0) + 2
     keys, cell = np.unique((cells[:, 0] * wide[1] + cells[:, 1]) * wide[2] + cells[:, 2], return_inverse=True)
     pairs = []
-    for step in product((-1, 0, 1), repeat=3):
+    for step in list(product((-1, 0, 1), repeat=3))[13:]:  # the cell itself, and of two that are beside each other one
         wanted = keys + (step[0] * wide[1] + step[1]) * wide[2] + step[2]
         there = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
         beside = np.flatnonzero(keys[there] == wanted)

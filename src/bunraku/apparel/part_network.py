@@ -346,9 +346,9 @@ def largest_of(values: np.ndarray, index: np.ndarray) -> np.ndarray:
     """The largest value of each channel among some rows, (N, C) and (M, K) -> (M, C)."""
     if not isinstance(values, np.ndarray):
         return brought(largest_of, values, index)
-    most: np.ndarray = values[index[:, 0]]
+    most: np.ndarray = values.take(index[:, 0], axis=0)  # half the time of `values[...]`
     for column in range(1, index.shape[1]):
-        np.maximum(most, values[index[:, column]], out=most)
+        np.maximum(most, values.take(index[:, column], axis=0), out=most)
     return most
 
 
@@ -367,9 +367,9 @@ def blended(x: np.ndarray, index: np.ndarray, shares: np.ndarray) -> np.ndarray:
     if not isinstance(x, np.ndarray):
         return brought(blended, x, index, shares)
     shares = shares.astype(np.float32)
-    out: np.ndarray = x[index[:, 0]] * shares[:, :1]
+    out: np.ndarray = x.take(index[:, 0], axis=0) * shares[:, :1]
     for column in (1, 2):
-        out += x[index[:, column]] * shares[:, column : column + 1]
+        out += x.take(index[:, column], axis=0) * shares[:, column : column + 1]
     return out
 
 

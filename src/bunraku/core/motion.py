@@ -46,15 +46,6 @@ def frozen_array(
 _array = partial(frozen_array, error=MotionError)
 
 
-def freeze(owner: object, what: str, fields: Mapping[str, tuple[tuple[int | None, ...], Any]]) -> None:
-    """Put read-only arrays of these shapes and types (`frozen_array`) in place of the fields of a frozen object, each
-    called "`what` field" in errors.
-    """
-    for name, (shape, dtype) in fields.items():
-        array = frozen_array(getattr(owner, name), shape, f"{what} {name}".strip(), dtype)
-        object.__setattr__(owner, name, array)
-
-
 def check_rate(fps: float) -> None:
     """Raise MotionError unless frames a second [1/s] are positive and finite."""
     if not 0 < fps < math.inf:

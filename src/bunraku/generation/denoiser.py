@@ -139,7 +139,9 @@ class _Changed(Mapping[str, np.ndarray]):
         if change is None:
             return matrix
         up, down = change
-        return np.asarray(matrix.astype(np.float32) + up.astype(np.float32) @ down.astype(np.float32))
+        changed = up.astype(np.float32) @ down.astype(np.float32)
+        changed += matrix
+        return changed
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._state)

@@ -7,6 +7,8 @@ the file, nor on open or closed seams. Scale and offset cancel, up to rounding.
 
 from __future__ import annotations
 
+import hashlib
+from collections import OrderedDict
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,8 +36,14 @@ class CleanMesh:
     scale: float  # largest extent of the original [m]: original = vertices * scale + center
 
 
+_kept: OrderedDict[bytes, CleanMesh] = OrderedDict()
+KEPT = 2
+"""Meshes that are kept clean: a character's, and that of its body alone."""
+
+
 def clean_mesh(vertices: np.ndarray, faces: np.ndarray) -> CleanMesh:
-    """Weld, clean, normalise and sort a mesh of vertices [m] (V, 3) and faces (F, 3).
+    """Weld, clean, normalise and sort a mesh of vertices [m] (V, 3) and faces (F, 3). The last ones are kept, since all
+    that looks at a character begins here; their arrays cannot be written on.
 
     Vertices closer than 2.5e-6 of the largest extent become one. Faces with fewer than three different vertices and
     repeated faces are dropped; of a face in both orientations the commoner one stays, or the one that looks outward.
@@ -43,6 +51,16 @@ def clean_mesh(vertices: np.ndarray, faces: np.ndarray) -> CleanMesh:
     vertex, or no face has an area to speak of.
     """
     vertices, faces = np.asarray(vertices, np.float64), np.asarray(faces, np.int64)
+    parts = (repr((vertices.shape, faces.shape)).encode(), vertices.tobytes(), faces.tobytes())
+    key = hashlib.blake2b(b"".join(parts)).digest()
+    clean = _kept.pop(key, None) or _cleaned(vertices, faces)
+    _kept[key] = clean
+    while len(_kept) > KEPT:
+        _kept.popitem(last=False)
+    return clean
+
+
+def _cleaned(vertices: np.ndarray, faces: np.ndarray) -> CleanMesh:
     if vertices.ndim != 2 or vertices.shape[1] != 3 or faces.ndim != 2 or faces.shape[1] != 3:
         raise CharacterError(f"a mesh needs vertices (V, 3) and faces (F, 3), not {vertices.shape} and {faces.shape}")
     if len(faces) == 0 or len(vertices) == 0:
@@ -77,6 +95,8 @@ def clean_mesh(vertices: np.ndarray, faces: np.ndarray) -> CleanMesh:
         stray = np.flatnonzero(~used)
         where = np.nan_to_num((vertices[stray] - center) / scale, nan=0.0, posinf=1e9, neginf=-1e9)
         index[stray] = cKDTree(welded).query(where)[1]
+    for array in (welded, faces, index, used):
+        array.flags.writeable = False
     return CleanMesh(welded, faces, index, used, center, scale)
 
 

@@ -364,18 +364,25 @@ class Weights:
 
     def array(self, name: str, *shape: int) -> np.ndarray:
         """One of them, of this shape. ValueError if it is missing, or has another shape."""
+        array = self._stored(name, *shape)
+        return array.astype(np.float32) if array.dtype == np.float16 else array
+
+    def _stored(self, name: str, *shape: int) -> np.ndarray:
+        """The same in the precision of the file."""
         full_name = self._prefix + name
         array = self._state.get(full_name)
         if array is None or array.shape != shape:
             there = "none" if array is None else str(list(array.shape))
             raise ValueError(f"its config makes '{full_name}' of size {list(shape)}, and the file has {there}")
         self._left.discard(full_name)
-        return array.astype(np.float32) if array.dtype == np.float16 else array
+        return array
 
     def linear(self, name: str, width_in: int, width_out: int, bias: bool = True) -> Linear:
         """The linear layer of this name; its matrix lies as the product reads it."""
-        matrix = self.array(f"{name}.weight", width_out, width_in)
-        return Linear(np.ascontiguousarray(matrix.T), self.array(f"{name}.bias", width_out) if bias else None)
+        stored = self._stored(f"{name}.weight", width_out, width_in)
+        # turned and converted at once, which takes a third of the time of one after the other
+        matrix = np.ascontiguousarray(stored.T, np.float32 if stored.dtype == np.float16 else stored.dtype)
+        return Linear(matrix, self.array(f"{name}.bias", width_out) if bias else None)
 
     def norm(self, name: str, width: int, epsilon: float = 1e-5) -> Norm:
         """The layer norm of this name."""
