@@ -38,12 +38,8 @@ def apply_motion(
     motion: HandleMotion, anatomy: Anatomy, constraints: Iterable[Constraint] = (), stages: Stages | None = None,
     progress: Progress | None = None,
 ) -> Animation:  # fmt: skip
-    """A motion of the reference body, as `generate` makes them, on a character.
-
-    Args:
-        motion: Generated for the same constraints: as a loop, along `reference_path`, after the same motion.
-        constraints: What it must meet.
-        stages: Which stages fit the motion to the character; `GENERATED_STAGES` when None.
+    """A motion of the reference body, as `generate` makes them for the same constraints, on a character: as a loop,
+    along `reference_path`, after the same motion. `GENERATED_STAGES` fit it when `stages` is None.
     """
     progress = progress or (lambda stage, done: None)
     progress("fit", 0.0)

@@ -43,22 +43,16 @@ MISSED = 10 * CLOSE
 class Pin(Constraint, kind="pin", several=True):
     """Where a hand or a foot is at a time.
 
-    Args:
-        part: One of `PINNED`.
-        time: Seconds from the start of the clip.
-        position: Where the wrist or ankle is [m], shape (3,), in the clip's world: +Y up.
-        rotation: Turn of the hand or foot from the rest pose in the world, shape (3, 3); None leaves it as it is.
-        hold: Seconds for which it stays there.
-
     Raises:
         OptionError: There is no such part, or a number makes no sense.
     """
 
-    part: str
-    time: float
-    position: tuple[float, float, float]
+    part: str  # one of `PINNED`
+    time: float  # seconds from the start of the clip
+    position: tuple[float, float, float]  # where the wrist or ankle is [m], shape (3,), in the clip's world: +Y up
+    # Turn of the hand or foot from the rest pose in the world, shape (3, 3); None leaves it as it is.
     rotation: np.ndarray | None = None
-    hold: float = 0.0
+    hold: float = 0.0  # seconds for which it stays there
 
     def __post_init__(self) -> None:
         if self.part not in PINNED:

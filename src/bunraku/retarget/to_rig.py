@@ -27,13 +27,8 @@ def fit_rig(
     motion: HandleMotion, character: Character | RigParts, stages: Stages | None = None,
     heights: np.ndarray | None = None,
 ) -> RigAnimation:  # fmt: skip
-    """A handle motion of the reference body on the rig of a character.
-
-    Args:
-        motion: Motion of the reference body's handles, feet on y = 0.
-        character: The character, facing +Z, or its `RigParts`.
-        stages: Which stages run; all when None. `shape` never does: bones keep their lengths.
-        heights: See `fit_motion`.
+    """A handle motion of the reference body, feet on y = 0, on the rig of a character that faces +Z. The stages are
+    those of `fit_motion`, but `shape`: bones keep their lengths.
 
     Raises:
         CharacterError: There is no rig, or its bones' names do not tell which parts they move.

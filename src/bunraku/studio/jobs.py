@@ -181,13 +181,9 @@ class Jobs:
         self, kind: str, title: str, params: Mapping[str, object], about: About | None = None, *,
         passing: bool = False, first: bool = False, later: bool = False,
     ) -> Job:  # fmt: skip
-        """Put a job into the queue; QueueFull where too many wait, FormatError where it cannot be written down.
-
-        Args:
-            kind: A task of `tasks.TASKS`.
-            passing: It is not kept on disk and not offered again by the next run.
-            first: It takes a moment, and goes before all that wait.
-            later: It goes on in the background: it is begun when nothing was done for `QUIET`.
+        """Put a job into the queue; QueueFull where too many wait, FormatError where it cannot be written down. A job
+        that is `passing` is not kept on disk and not offered again by the next run; one that goes `first` takes a
+        moment, and is done before all that wait; one that goes `later` is begun when nothing was done for `QUIET`.
         """
         with self._lock:
             if len(self._waiting) + len(self._later) + self._coming >= MOST_WAITING:
