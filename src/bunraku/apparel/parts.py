@@ -49,7 +49,7 @@ HOLDING = 10  # percentile of distances: so much of a part, nearest to the body,
 MOSTLY = 0.6  # of the surface about what is worn: where one limb has less of it, it bends; chosen by eye
 LEAST_SHARE = 0.1  # of the weights about a part: a carrier that has less of them is not what holds it; chosen by eye
 KNOWN = 4  # characters whose parts stay in memory
-_HEAD = HANDLE_NAMES.index("head")
+_HEAD, _CHEST = HANDLE_NAMES.index("head"), HANDLE_NAMES.index("spine3")
 
 
 @dataclass(frozen=True, eq=False)
@@ -366,8 +366,8 @@ def handles_of_body(character: Character, predict: Callable[[Character], Handles
 
 
 def glide_with(base: np.ndarray, character: Character, weights: np.ndarray, played: np.ndarray) -> None:
-    """Let a figure for print, or a statue, glide with its base, in place: its legs and whatever other limb stands on
-    the base do not bend.
+    """Let a figure for print, or a statue, glide with its base, in place: no limb of it bends, since what its hands
+    hold is of one skin with them.
 
     Args:
         base: Vertices of the base, shape (V,), bool.
@@ -380,9 +380,10 @@ def glide_with(base: np.ndarray, character: Character, weights: np.ndarray, play
     away = cKDTree(vertices[base]).query(vertices)[0]
     border = ~base & (away < reach)
     for carrier, limb in zip(CARRIERS, _HANDLES[:, played], strict=True):
-        rests = weights[border][:, limb].sum() > LEAST_SHARE * max(int(border.sum()), 1)
-        if carrier.endswith("leg") or (carrier.endswith("arm") and rests):
-            weights[:, 0] += weights[:, limb].sum(axis=1)
+        if carrier.endswith(("arm", "leg")):
+            rests = weights[border][:, limb].sum() > LEAST_SHARE * max(int(border.sum()), 1)
+            holder = 0 if carrier.endswith("leg") or rests else _CHEST
+            weights[:, holder] += weights[:, limb].sum(axis=1)
             weights[:, limb] = 0
     free = smooth_step(away, 0.0, reach)[:, None]
     weights[:] = free * weights + (1 - free) * np.eye(1, weights.shape[1])

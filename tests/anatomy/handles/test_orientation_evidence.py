@@ -8,7 +8,6 @@ from bunraku.anatomy.handles.orientation_evidence import (
     ColorEvidence,
     Combination,
     GroundEvidence,
-    LeanEvidence,
     MirrorEvidence,
     RestEvidence,
     ShapeView,
@@ -23,7 +22,7 @@ from bunraku_lab.synthetic.fields import grid_surface
 
 EQUAL = np.full(24, 1 / 24)
 variety, front_scores = ColorEvidence().variety, ColorEvidence().front_scores
-rest, lean = RestEvidence().rest, LeanEvidence().lean
+rest = RestEvidence().rest
 ground_fit, asymmetries = GroundEvidence().fit, MirrorEvidence().asymmetries
 
 
@@ -39,9 +38,8 @@ def evidence_of_file(vertices):
 
 
 def evidence_of_surface(points, normals):
-    """Log-odds by what a shape would rest on and by where its top leans."""
-    view = ShapeView(surface=(points, normals))
-    return sum(evidence.log_odds(view) for evidence in (RestEvidence(), LeanEvidence()))
+    """Log-odds by what a shape would rest on."""
+    return RestEvidence().log_odds(ShapeView(surface=(points, normals)))
 
 
 def ball():
@@ -116,27 +114,19 @@ def test_a_ball_rests_on_nothing():
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     found = rest(normals * 3, normals)
     assert np.ptp(found[:, 0]) < 1.5 and found[:, 2].max() < 0.3
-    assert np.isfinite(rest(np.zeros((5, 3)), normals[:5])).all() and np.isfinite(lean(np.zeros((5, 3)))).all()
-
-
-def test_a_head_is_in_front():
-    points, _ = statue()
-    found = lean(points)
-    upright = [found[ORIENTATIONS.index(("+y", front))] for front in ("+z", "-z", "+x", "-x")]
-    assert upright[0] == pytest.approx(0.15 / 1.3, abs=0.02)  # of the largest extent, its height
-    assert upright[1] == pytest.approx(-upright[0]) and np.abs(upright[2:]).max() < 0.01
+    assert np.isfinite(rest(np.zeros((5, 3)), normals[:5])).all()
 
 
 def test_turning_the_shape_turns_what_it_tells():
     points, normals = statue()
     told = evidence_of_surface(points, normals)
-    assert told.argmax() == ORIENTATIONS.index(("+y", "+z"))
+    assert ORIENTATIONS[int(told.argmax())][0] == "+y"
     for up, front in ORIENTATIONS[::5]:
         turn = upright_rotation(up, front)
         again = evidence_of_surface(points @ turn, normals @ turn)
-        assert again.argmax() == ORIENTATIONS.index((up, front))
+        assert ORIENTATIONS[int(again.argmax())][0] == up
         assert np.sort(again) == pytest.approx(np.sort(told), abs=1e-6)
-    assert np.ptp(told) <= np.log(115) + np.log(10.4) + 1e-6
+    assert np.ptp(told) <= np.log(115) + 1e-6
 
 
 def test_bones_are_a_witness_like_others():

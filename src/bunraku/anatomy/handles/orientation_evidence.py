@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -115,41 +114,6 @@ class RestEvidence(Evidence):
             above = 1 / (1 + np.exp(-np.clip(inside / self.edge, -50, 50)))
             rows.append((np.log(flat + self.least), above, base / footprint))
         return np.array(rows)
-
-
-@dataclass(frozen=True)
-class LeanEvidence(Evidence):
-    """Heads are in front of trunks.
-
-    Args:
-        doubt: With 10 % two of 30 held-out characters turn their backs as a GLB, with 30 % none; at most 10 to 1
-            between two fronts.
-        weight: Of the lean: that of the least cross-entropy on the same 151 characters.
-        top: Share of the height from which on a point is of the top.
-    """
-
-    doubt: float = 0.3
-    weight: float = 3.95
-    top: float = 0.85
-
-    _UP: ClassVar[np.ndarray] = _AXIS_VECTORS[[AXES.index(up) for up, _ in ORIENTATIONS]]
-    _FRONT: ClassVar[np.ndarray] = _AXIS_VECTORS[[AXES.index(front) for _, front in ORIENTATIONS]]
-
-    def log_odds(self, view: ShapeView) -> np.ndarray:
-        if view.surface is None:
-            return np.zeros(len(ORIENTATIONS))
-        return self.of_fronts(np.exp(self.weight * self.lean(view.surface[0])))
-
-    def lean(self, points: np.ndarray) -> np.ndarray:
-        """How far the top of a shape is before its middle in each of `ORIENTATIONS`, as a share of its largest extent,
-        shape (24,), by points spread evenly over its surface, any unit, shape (N, 3).
-        """
-        heights = points @ self._UP.T
-        low, high = heights.min(axis=0), heights.max(axis=0)
-        top = heights >= low + self.top * (high - low)
-        before = (points - points.mean(axis=0)) @ self._FRONT.T
-        extent = max(float(np.ptp(points, axis=0).max()), 1e-100)
-        return np.asarray((before * top).sum(axis=0) / top.sum(axis=0) / extent)
 
 
 @dataclass(frozen=True)
@@ -288,9 +252,7 @@ class MirrorEvidence(Evidence):
         return np.array(found)
 
 
-EVIDENCE: tuple[Evidence, ...] = (
-    RestEvidence(), LeanEvidence(), ColorEvidence(), GroundEvidence(), MirrorEvidence(),
-)  # fmt: skip
+EVIDENCE: tuple[Evidence, ...] = (RestEvidence(), ColorEvidence(), GroundEvidence(), MirrorEvidence())
 """All evidence beside that of the network and the bones."""
 
 
