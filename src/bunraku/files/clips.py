@@ -12,7 +12,7 @@ from bunraku.core.animation import Animation, RigAnimation, behind_still
 from bunraku.core.animation import end_to_start as joined
 from bunraku.core.body.reference import reference_body
 from bunraku.core.character import Character, Handles
-from bunraku.core.files import check_input, check_output_folder, read_bounded
+from bunraku.core.files import check_output_folder, read_bounded
 from bunraku.core.geometry.rotations import nearest_rotation
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import posed_points
@@ -64,7 +64,6 @@ def load_clip(path: str | Path) -> Clip:
     Bunraku; MotionError if what it holds breaks the rules of a motion.
     """
     path = Path(path)
-    check_input(path)
     data = read_bounded(path)
     if data[:4] == b"glTF":
         data = packed_motion(path, data)

@@ -13,7 +13,6 @@ from typing import Any, Literal
 import numpy as np
 
 from bunraku.core.animation import AnimatedCharacter, Animation, RigAnimation
-from bunraku.core.character import Handles
 from bunraku.core.files import check_output_folder, read_bounded
 from bunraku.core.geometry.curves import STRIDE, gaussian
 from bunraku.core.geometry.rotations import heading, matrix_y
@@ -140,8 +139,9 @@ def save_clips(
     first = next(iter(animations.values()))
     alike = all(animation.character is first.character for animation in animations.values())
     if handles and alike:
-        first_handles = handles[next(iter(handles))].handles
-        alike = all(_same_handles(animation.handles, first_handles) for animation in handles.values())
+        of_each = [animation.handles for animation in handles.values()]
+        alike = all(np.array_equal(each.positions, of_each[0].positions) for each in of_each)
+        alike = alike and all(np.array_equal(each.weights, of_each[0].weights) for each in of_each)
     if len(animations) not in (len(bones), len(handles)) or not alike:
         raise OptionError(
             "the clips of one file are of one character, moved by the same handles or bones, without apparel that "
@@ -157,10 +157,6 @@ def save_clips(
 
         return write_fbx_clips(bones or handles, path, fps=fps, **options)
     return save_rig_clips(bones, path, fps=fps) if bones else write_clips(handles, path, fps=fps)
-
-
-def _same_handles(first: Handles, other: Handles) -> bool:
-    return np.array_equal(first.positions, other.positions) and np.array_equal(first.weights, other.weights)
 
 
 def _added(animations: Mapping[str, AnimatedCharacter], path: Path, fps: float | None) -> Path:

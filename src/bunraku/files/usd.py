@@ -18,7 +18,7 @@ import numpy as np
 from bunraku.core.animation import RigAnimation, bone_order
 from bunraku.core.body.layout import handle_names
 from bunraku.core.character import Character, top_influences
-from bunraku.core.files import check_output_folder, share_file, writing
+from bunraku.core.files import share_file, writing
 from bunraku.core.geometry.axes import UNITS, FileFrame
 from bunraku.core.geometry.rotations import continuous, quaternion_from_matrix
 from bunraku.core.motion import checked_fps
@@ -397,7 +397,6 @@ def _done(write: Callable[..., object], *arguments: str) -> bool:
 
 def _export(usd: dict[str, ModuleType], stage: Any, path: Path, look: Look) -> Path:
     """Write the stage and its textures to a folder beside the target, and move them when they are complete."""
-    check_output_folder(path)
     _check_textures(path, look)
     suffix = path.suffix.lower()
     with (

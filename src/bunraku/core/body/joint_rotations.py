@@ -127,7 +127,8 @@ def motion_from_positions(positions: np.ndarray, fps: float) -> SkeletalMotion:
         parent = JOINT_PARENTS[joint]
         above = world[:, max(parent, 0)]
         if len(children) > 1:
-            world[:, joint] = _fit(offsets[children], bones[:, children])
+            spread = np.einsum("nci,cj->nij", bones[:, children], offsets[children])
+            world[:, joint] = nearest_rotation(spread)  # brings the vectors closest (Kabsch 1976)
         elif children:
             pointing = np.einsum("nji,nj->ni", above, bones[:, children[0]])
             world[:, joint] = above @ rotation_between(offsets[children[0]], pointing)
@@ -162,11 +163,6 @@ def _frame(bones: np.ndarray, left: int, right: int, above: int) -> np.ndarray:
     forward = np.cross(across, bones[..., above, :] - low)
     axes = [across, np.cross(forward, across), forward]
     return np.stack([axis / np.maximum(np.linalg.norm(axis, axis=-1, keepdims=True), 1e-12) for axis in axes], -1)
-
-
-def _fit(rest: np.ndarray, moved: np.ndarray) -> np.ndarray:
-    """Rotations (N, 3, 3) that bring vectors (C, 3) closest to moved ones (N, C, 3) (Kabsch 1976)."""
-    return nearest_rotation(np.einsum("nci,cj->nij", moved, rest))
 
 
 def _rolled(world: np.ndarray, joint: int, offsets: np.ndarray, bones: np.ndarray, fps: float) -> np.ndarray:

@@ -13,7 +13,7 @@ import numpy as np
 
 from bunraku.core.animation import Animation, RigAnimation
 from bunraku.core.character import check_weighed, written_rig
-from bunraku.core.files import atomic_write, check_output_folder
+from bunraku.core.files import atomic_write
 from bunraku.core.geometry.axes import FileFrame
 from bunraku.core.motion import checked_fps
 from bunraku.errors import FormatError, OptionError
@@ -127,7 +127,6 @@ def _write(
     if path.suffix.lower() != ".fbx":
         raise OptionError(f"FBX is written to a file that ends in .fbx, not in {path.suffix or 'nothing'}")
     objects = Objects(FileFrame.of(up, unit), up, unit)
-    check_output_folder(path)
     with writable(path, character.name):
         document, meshes = meshes_of(character)
         look = Look(objects, document)

@@ -12,7 +12,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from bunraku.core.animation import AnimatedCharacter, Animation, RigAnimation
-from bunraku.core.files import check_input, check_output_folder, read_bounded
+from bunraku.core.files import check_output_folder, read_bounded
 from bunraku.core.geometry.rotations import continuous, quaternion_slerp
 from bunraku.core.motion import checked_fps
 from bunraku.errors import FormatError, OptionError
@@ -32,7 +32,7 @@ def merge_documents(paths: Sequence[Path], path: Path, *, only: Collection[str] 
     of them by name, after its own, onto the nodes of the same names; it may be written over one of them. FormatError if
     a file is broken or holds no clip, or is of another character.
     """
-    base, *others = [_opened(file) for file in paths]
+    base, *others = [open_document(file, read_bounded(file)) for file in paths]
     builder = whole_document(base)
     for document in others:
         if not document.items("animations"):
@@ -64,11 +64,6 @@ def whole_document(document: Document) -> GltfBuilder:
             mime = image_type(data[:16]) or image.get("mimeType") or "image/png"
             tree["images"][number] = {**image, "mimeType": mime, "bufferView": builder.view(data)}
     return builder
-
-
-def _opened(path: Path) -> Document:
-    check_input(path)
-    return open_document(path, read_bounded(path))
 
 
 def _same_nodes(base: Document, other: Document) -> dict[int, int]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -140,7 +140,7 @@ def rotated(character: Character, up: str, front: str) -> Character:
     matrix[:3, :3] = rotation
     rig, source = character.rig, character.source
     if isinstance(source, Source):
-        source = _placed_source(source, matrix, [_turned_part(part, rotation) for part in source.parts])
+        source = _placed_source(source, matrix, _moved(source.parts, lambda points: _turned_points(points, rotation)))
     return replace(
         character,
         vertices=_turned_points(character.vertices, rotation),
@@ -170,13 +170,18 @@ def scaled(character: Character, factor: float) -> Character:
 
 
 def _scaled_source(source: Source, factor: float, matrix: np.ndarray) -> Source:
-    def grown(part: MeshPart) -> MeshPart:
-        return replace(part, groups=tuple(replace(group, vertices=group.vertices * factor) for group in part.groups))
-
-    parts = tuple(map(grown, source.parts))
+    parts = _moved(source.parts, lambda points: points * factor)
     if source.suffix in BARE:
         return replace(source, document=scaled_mesh_document(source.document, factor), parts=parts)
     return _placed_source(source, matrix, parts)
+
+
+def _moved(parts: Sequence[MeshPart], move: Callable[[np.ndarray], np.ndarray]) -> tuple[MeshPart, ...]:
+    """Parts with their vertices moved."""
+    return tuple(
+        replace(part, groups=tuple(replace(group, vertices=move(group.vertices)) for group in part.groups))
+        for part in parts
+    )
 
 
 def _turned_points(points: np.ndarray, rotation: np.ndarray) -> np.ndarray:
@@ -192,8 +197,3 @@ def _placed_source(source: Source, matrix: np.ndarray, parts: Sequence[MeshPart]
     tree = NodeTree(old.parents, matrix @ old.world, old.scene, local)
     moved = (replace(part, transform=None if part.transform is None else matrix @ part.transform) for part in parts)
     return replace(source, tree=tree, skins=posed_skins(source.skins, tree), parts=tuple(moved))
-
-
-def _turned_part(part: MeshPart, rotation: np.ndarray) -> MeshPart:
-    groups = (replace(group, vertices=_turned_points(group.vertices, rotation)) for group in part.groups)
-    return replace(part, groups=tuple(groups))

@@ -10,7 +10,7 @@ import numpy as np
 from bunraku.core.avatars import VrmModel
 from bunraku.core.body.layout import JOINT_NAMES, engine_names
 from bunraku.core.character import Character, Handles
-from bunraku.core.files import check_output_folder, read_bounded
+from bunraku.core.files import read_bounded
 from bunraku.core.geometry.rotations import continuous, quaternion_from_matrix
 from bunraku.core.motion import (
     HandleMotion,
@@ -193,7 +193,10 @@ def write_vrma(motion: SkeletalMotion, path: str | Path, *, fps: float | None = 
     motion = resample_motion(motion, checked_fps(fps, motion.fps))
     builder = GltfBuilder()
     _add_bones(builder, motion)
-    _add_clip(builder, motion, name or path.stem)
+    rotations = continuous(quaternion_from_matrix(motion.rotations.astype(np.float64))).astype(np.float32)
+    turns = [(joint, "rotation", rotations[:, joint]) for joint in range(rotations.shape[1])]
+    tracks = [(0, "translation", motion.root_translation.astype(np.float32)), *turns]
+    builder.clip(str(name or path.stem), (np.arange(len(motion)) / motion.fps).astype(np.float32), tracks)
     bones = {VRM_BONES[joint]: {"node": node} for node, joint in enumerate(JOINT_NAMES)}
     builder.tree["extensions"] = {EXTENSION: {"specVersion": "1.0", "humanoid": {"humanBones": bones}}}
     return finish_document(builder, path)
@@ -211,13 +214,6 @@ def _add_bones(builder: GltfBuilder, motion: SkeletalMotion) -> None:
     builder.bones([VRM_BONES[name] for name in skeleton.names], skeleton.parents, offsets.astype(np.float32))
 
 
-def _add_clip(builder: GltfBuilder, motion: SkeletalMotion, name: str) -> None:
-    rotations = continuous(quaternion_from_matrix(motion.rotations.astype(np.float64)))
-    turns = [(joint, "rotation", rotations[:, joint].astype(np.float32)) for joint in range(rotations.shape[1])]
-    tracks = [(0, "translation", motion.root_translation.astype(np.float32)), *turns]
-    builder.clip(str(name), (np.arange(len(motion)) / motion.fps).astype(np.float32), tracks)
-
-
 def write_avatar(
     character: Character, handles: Handles | None, path: Path, *, rig: bool = False, avatar: VrmModel | None = None
 ) -> Path:
@@ -228,7 +224,6 @@ def write_avatar(
     hint = "make one with --skeleton vrm, or with `bunraku.with_skeleton`"
     if character.rig is None or not rig or handles is not None:
         raise CharacterError(f"{character.name}: a VRM needs a skeleton with VRM's names; {hint}")
-    check_output_folder(path)
     builder, nodes = plain_rig(character)
     if "VRMC_vrm" not in builder.tree.get("extensions", {}):
         raise CharacterError(f"{character.name}: its rig is not that of a VRM in a T-pose; {hint}")

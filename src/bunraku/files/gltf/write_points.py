@@ -188,12 +188,9 @@ def fitted_points(moved: PointAnimation, tolerance: float | None = None, shapes:
                 f"{MOST_BONES} bones do not come within {limit:.4g} m; give a larger tolerance or shapes='mixed'"
             )
         baked, found = (fitted, None) if fitted is not None else (baked, found)
-    names = tuple(_bone_name(moved.animation.handles, number, count) for number in range(len(baked.handles.positions)))
+    more = range(1, len(baked.handles.positions) - count + 1)
+    names = (*handle_names(moved.animation.handles.played), *(f"apparel_{number}" for number in more))
     return FittedPoints(baked, names, moving, found if found is not None and len(found.shapes) else None)
-
-
-def _bone_name(handles: Handles, number: int, count: int) -> str:
-    return handle_names(handles.played)[number] if number < count else f"apparel_{number - count + 1}"
 
 
 def _with_bones(

@@ -14,7 +14,6 @@ from bunraku.core.animation import Animation, RigAnimation
 from bunraku.core.avatars import VrmModel
 from bunraku.core.body.layout import BESIDE, handle_names
 from bunraku.core.character import Character, Handles, Rig, check_weighed, top_influences, written_rig
-from bunraku.core.files import check_output_folder
 from bunraku.core.geometry.rotations import Resampling, continuous, nearest_rotation, quaternion_from_matrix
 from bunraku.core.motion import checked_fps
 from bunraku.files.gltf.carry import MeshCarrier, carry_clips, carry_images, carry_tree
@@ -101,12 +100,13 @@ class RigDocument:
     @classmethod
     def of(cls, character: Character) -> RigDocument:
         """That of a character with a rig."""
-        source = character.source
-        usable = source if isinstance(source, Source) and _fits(source, character) else None
-        if usable is None:
+        source, bones = character.source, len(written_rig(character).names)
+        if not isinstance(source, Source) or source.moved is not None or len(source.skins.nodes) != bones:
+            source = None
+        if source is None or not source.fits(character):
             return cls(*plain_rig(character), None, np.eye(4))
-        builder, nodes = _own_rig(usable)
-        return cls(builder, nodes, usable, _above_all(usable, builder))
+        builder, nodes = _own_rig(source)
+        return cls(builder, nodes, source, _above_all(source, builder))
 
     def local(self, animation: RigAnimation) -> np.ndarray:
         """Transform of each bone's node in its parent, shape (N, J, 4, 4)."""
@@ -148,7 +148,6 @@ def save_rig_clips(clips: Mapping[str, RigAnimation], path: Path, *, fps: float 
     """
     animation = next(iter(clips.values()))
     rates = {name: checked_fps(fps, clip.fps) for name, clip in clips.items()}
-    check_output_folder(path)
     with writable(path, animation.character.name):
         written = RigDocument.of(animation.character)
         builder, source = written.builder, written.source
@@ -168,7 +167,6 @@ def write_character(
     """
     if rig:
         written_rig(character)
-        check_output_folder(path)
         builder, nodes = plain_rig(character)
         if avatar is not None:
             add_spring_extras(builder.tree, avatar, nodes)
@@ -176,13 +174,6 @@ def write_character(
     if handles is not None:
         check_weighed(character, handles)
     return finish_document(build_document(character, handles, path)[0], path)
-
-
-def _fits(source: Source, character: Character) -> bool:
-    """Whether the document's joints are the rig's bones."""
-    rig = character.rig
-    assert rig is not None
-    return len(source.skins.nodes) == len(rig.names) and source.moved is None and source.fits(character)
 
 
 def _own_rig(source: Source) -> tuple[GltfBuilder, list[int]]:

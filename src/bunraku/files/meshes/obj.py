@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bunraku.core.character import Character
-from bunraku.core.files import check_output_folder, check_text, path_inside, read_bounded, share_file, writing
+from bunraku.core.files import check_text, path_inside, read_bounded, share_file, writing
 from bunraku.core.geometry.axes import FileFrame
 from bunraku.core.geometry.surface import unit_normals
 from bunraku.core.motion import checked_fps
@@ -397,7 +397,6 @@ def _ply_frame(character: Character) -> Frame:
 def _write(animation: Animation | PointAnimation, path: Path, fps: float | None, axes: FileFrame, frame: Frame) -> Path:
     moved = animation.at(checked_fps(fps, animation.motion.fps))
     frames = len(moved.motion)
-    check_output_folder(path)
     folder = check_sequence(path)
     temporary = ""
     with writing(path, "files"):

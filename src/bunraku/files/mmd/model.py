@@ -144,9 +144,9 @@ def mmd_character(path: Path, file: MmdFile) -> Character:
     bones = _check_bones(path, file)
     bodies, joints = check_physics(file.bodies, file.joints, len(bones), file.note)
     indices, weights = _check_weights(path, file)
-    document = model_document(
-        path, file.name or path.stem, file.materials, _mesh(file), (indices, weights), bones, file.note
-    )
+    # In our frame; triangles wind the other way in a left-handed one.
+    mesh = mmd_points(file.positions), file.normals * [1, 1, -1], file.uvs, file.triangles[:, ::-1]
+    document = model_document(path, file.name or path.stem, file.materials, mesh, (indices, weights), bones, file.note)
     character = character_from_document(document, path.stem, None, path.suffix.lower() or ".pmx")
     model = MmdModel(
         file.name, file.english, file.version, bones, tuple(file.morphs), bodies, joints, file.deforms.copy(),
@@ -165,11 +165,6 @@ def _check_mesh(path: Path, file: MmdFile) -> None:
     covered = sum(max(material.corners, 0) for material in file.materials)
     if file.materials and covered != 3 * len(file.triangles):
         file.note(f"its materials are for {covered // 3:,} of its {len(file.triangles):,} triangles")
-
-
-def _mesh(file: MmdFile) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Positions [m], normals, UVs and triangles in our frame; triangles wind the other way in a left-handed one."""
-    return mmd_points(file.positions), file.normals * [1, 1, -1], file.uvs, file.triangles[:, ::-1]
 
 
 def _check_weights(path: Path, file: MmdFile) -> tuple[np.ndarray, np.ndarray]:
