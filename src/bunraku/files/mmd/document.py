@@ -63,7 +63,7 @@ def model_document(
         attributes["WEIGHTS_0"] = builder.array(skin[1].astype(np.float32), ARRAY_BUFFER)
     ends = np.cumsum([max(material.corners, 0) // 3 for material in materials]).astype(int)
     parts = zip(np.split(triangles, ends), [*range(len(materials)), None], strict=True)
-    primitives = triangle_primitives(builder, attributes, len(positions), parts)
+    primitives = [{"mode": 4, **each} for each in triangle_primitives(builder, attributes, len(positions), parts)]
     builder.tree["meshes"] = [{"name": names, "primitives": primitives}]
     node: dict[str, Any] = {"name": names, "mesh": 0}
     builder.add("nodes", node)
