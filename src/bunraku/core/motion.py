@@ -70,12 +70,9 @@ class Skeleton:
         object.__setattr__(self, "names", tuple(self.names))
         object.__setattr__(self, "parents", _array(self.parents, (len(self.names),), "skeleton parents", np.int64))
         object.__setattr__(self, "offsets", _array(self.offsets, (len(self.names), 3), "skeleton offsets"))
-        if (
-            not len(self.names)
-            or self.parents[0] != -1
-            or (self.parents[1:] >= np.arange(1, len(self.names))).any()
-            or (self.parents[1:] < 0).any()
-        ):
+        below = self.parents[1:]
+        ordered = (below >= 0).all() and (below < np.arange(1, len(self.names))).all()
+        if not len(self.names) or self.parents[0] != -1 or not ordered:
             raise MotionError("a skeleton needs one root, first, and every parent before its children")
 
     def __repr__(self) -> str:
@@ -232,9 +229,8 @@ class HandleMotion(Saved):
         local = handle_offsets(h, self.translations, self.rotations)
         out = np.empty((*self.translations.shape[:2], 3, 4), np.float32)
         out[..., :3] = self.root_rotation[:, None] @ self.rotations
-        out[..., 3] = (
-            np.einsum("nij,nkj->nki", self.root_rotation, local - h[0]) + h[0] + self.root_translation[:, None]
-        )
+        turned = np.einsum("nij,nkj->nki", self.root_rotation, local - h[0])
+        out[..., 3] = turned + h[0] + self.root_translation[:, None]
         return out
 
     def with_transforms(self, transforms: np.ndarray, positions: np.ndarray) -> HandleMotion:
@@ -263,13 +259,8 @@ class MeshMotion:
         vertices, faces = np.asarray(self.vertices, np.float32), np.asarray(self.faces, np.int64)
         if vertices.ndim != 3 or vertices.shape[2] != 3 or not vertices.size:
             raise MotionError(f"a moving mesh needs vertices of shape (frames, vertices, 3), not {vertices.shape}")
-        if (
-            faces.ndim != 2
-            or faces.shape[1:] != (3,)
-            or not len(faces)
-            or faces.min() < 0
-            or faces.max() >= vertices.shape[1]
-        ):
+        shaped = faces.ndim == 2 and faces.shape[1:] == (3,) and len(faces) > 0
+        if not shaped or faces.min() < 0 or faces.max() >= vertices.shape[1]:
             raise MotionError("a moving mesh needs triangles of shape (F, 3) that name its vertices")
         if not np.isfinite(vertices).all():
             raise MotionError("a moving mesh has coordinates that are not numbers")

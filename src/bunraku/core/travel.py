@@ -182,13 +182,8 @@ def closed_loop(motion: HandleMotion, like: HandleMotion, fade: int = 8) -> Hand
     off = motion.translations[0] - motion.translations[-1]
     translations = motion.translations + (share[:, None, None] * off).astype(np.float32)
     translations[-1] = motion.translations[0]
-    rotations, root_rotation = (
-        turned(motion.rotations, motion.rotations[0]),
-        turned(motion.root_rotation, goal_rotation),
-    )
-    return replace(
-        motion, translations=translations, rotations=rotations, root_translation=path, root_rotation=root_rotation
-    )
+    rotations, root = turned(motion.rotations, motion.rotations[0]), turned(motion.root_rotation, goal_rotation)
+    return replace(motion, translations=translations, rotations=rotations, root_translation=path, root_rotation=root)
 
 
 def in_place(motion: HandleMotion, loop: bool = False) -> HandleMotion:

@@ -68,9 +68,8 @@ def surface_points(vertices: np.ndarray, faces: np.ndarray, count: int) -> tuple
     if not np.isfinite(total) or total <= 0:
         area, total = np.ones(len(faces)), float(len(faces))
     ends = np.cumsum(area)
-    face = np.minimum(
-        np.searchsorted(ends, (np.arange(count) + 0.5) * (ends[-1] / count), side="right"), len(faces) - 1
-    )
+    face = np.searchsorted(ends, (np.arange(count) + 0.5) * (ends[-1] / count), side="right")
+    face = np.minimum(face, len(faces) - 1)
     number = np.arange(1, count + 1)
     along, across = (number * _STEPS[0]) % 1, (number * _STEPS[1]) % 1
     folded = along + across > 1

@@ -71,11 +71,8 @@ def _cubic(
         low, high = np.zeros(len(bent)), np.ones(len(bent))
         for _ in range(40):
             middle = (low + high) / 2
-            time = (
-                3 * (1 - middle) ** 2 * middle * right[bent]
-                + 3 * (1 - middle) * middle**2 * (1 - left[bent])
-                + middle**3
-            )
+            first, second = 3 * (1 - middle) ** 2 * middle, 3 * (1 - middle) * middle**2
+            time = first * right[bent] + second * (1 - left[bent]) + middle**3
             low, high = np.where(time < share[bent], middle, low), np.where(time < share[bent], high, middle)
         s[bent] = (low + high) / 2
     first, second = start + right * span * slopes[:, 0], end - left * span * slopes[:, 1]
@@ -91,13 +88,10 @@ def read_curve(tree: FbxTree, thing: FbxObject) -> Curve | None:
     if not len(times):
         return None
     flags, data, counts = (thing.node.array(name) for name in ("KeyAttrFlags", "KeyAttrDataFloat", "KeyAttrRefCount"))
-    supported = (
-        len(flags) == len(counts)
-        and counts.min(initial=1) >= 1
-        and int(counts.astype(float).sum()) == len(times)
-        and len(data) == 4 * len(flags)
-    )
-    if not supported or not len(flags):  # without what says how to go from key to key, straight on
+    fitting = len(flags) == len(counts) and len(data) == 4 * len(flags) and counts.min(initial=1) >= 1
+    if (
+        not fitting or int(counts.astype(float).sum()) != len(times) or not len(flags)
+    ):  # without what says how to go from key to key, straight on
         straight = np.zeros((len(times), 2))
         return Curve(times, values, np.zeros(len(times), np.int64), straight, straight + 1 / 3)
     data = data.reshape(-1, 4)
@@ -121,9 +115,8 @@ def _with_auto(times: np.ndarray, values: np.ndarray, flags: np.ndarray, slopes:
     secant = np.diff(values) / np.where(span > 0, span, 1)
     left, right = np.concatenate([secant[:1], secant]), np.concatenate([secant, secant[-1:]])
     gap = np.concatenate([span[:1], times[2:] - times[:-2], span[-1:]])
-    over_time = np.concatenate(
-        [secant[:1], (values[2:] - values[:-2]) / np.where(gap[1:-1] > 0, gap[1:-1], 1), secant[-1:]]
-    )
+    inner = (values[2:] - values[:-2]) / np.where(gap[1:-1] > 0, gap[1:-1], 1)
+    over_time = np.concatenate([secant[:1], inner, secant[-1:]])
     slope = np.where((flags & OVER_TIME) > 0, over_time, (left + right) / 2)
     limit = 3 * np.minimum(np.abs(left), np.abs(right))
     limited = np.where(left * right > 0, np.clip(slope, -limit, limit), 0)  # never beyond the values of its neighbours
@@ -205,12 +198,11 @@ def sample_clip(scene: FbxScene, clip: FbxClip, fps: float) -> tuple[Values, int
         frames = f"{count:,} frames of {len(scene.models)} objects"
         scene.tree.fail(f"its clip '{clip.name}' has {frames}, too many to read; cut it or lower the frame rate")
     moments = clip.start + np.arange(count) / fps
-    return {
-        key: np.stack(
-            [curve.at(moments) if isinstance(curve, Curve) else np.full(count, curve) for curve in trio], axis=1
-        )
-        for key, trio in clip.curves.items()
-    }, count
+
+    def sampled(curve: Curve | float) -> np.ndarray:
+        return curve.at(moments) if isinstance(curve, Curve) else np.full(count, curve)
+
+    return {key: np.stack(list(map(sampled, trio)), axis=1) for key, trio in clip.curves.items()}, count
 
 
 def load_fbx_motion(path: str | Path, clip: int | str | None = None, fps: float = 20.0) -> SkeletalMotion:
@@ -251,9 +243,8 @@ def _joints(scene: FbxScene, clip: FbxClip) -> list[int]:
     """The joints of the skeleton that a clip moves most of, root first and parents before children."""
     moved = {model for model, _ in clip.curves}
     bones = [index for index, model in enumerate(scene.models) if model.subtype in BONES]
-    chosen = dict.fromkeys(
-        bones or [index for index, model in enumerate(scene.models) if index in moved and model.subtype != "Camera"], 0
-    )
+    others = [index for index, model in enumerate(scene.models) if index in moved and model.subtype != "Camera"]
+    chosen = dict.fromkeys(bones or others, 0)
     trees: dict[int, list[int]] = {}
     root_of: dict[int, int] = {}
     for model in sorted(chosen):  # parents come first

@@ -220,9 +220,9 @@ def bind_matrices(scene: FbxScene, world: np.ndarray, clusters: list[Cluster]) -
     for index in bones:
         parent = int(scene.parents[index])
         if index not in binds:
-            binds[index] = (
-                binds[parent] @ inverses(world[parent][None])[0] @ world[index] if parent in binds else world[index]
-            )
+            binds[index] = world[index]
+            if parent in binds:
+                binds[index] = binds[parent] @ inverses(world[parent][None])[0] @ world[index]
     return dict(sorted(binds.items()))
 
 
@@ -233,6 +233,7 @@ def inverses(matrices: np.ndarray) -> np.ndarray:
 
 
 MAX_IMAGES = 256
+_BASE_COLORS = ("DiffuseColor", "Diffuse", "Maya|baseColor", "3dsMax|Parameters|base_color_map")
 
 
 class Materials:
@@ -271,11 +272,7 @@ class Materials:
     def _diffuse(self, thing: FbxObject) -> int | None:
         for child, role in self.scene.links.get(thing.id, ()):
             texture = self.scene.objects.get(child)
-            if (
-                texture is not None
-                and texture.kind == "Texture"
-                and role in ("DiffuseColor", "Diffuse", "Maya|baseColor", "3dsMax|Parameters|base_color_map")
-            ):
+            if texture is not None and texture.kind == "Texture" and role in _BASE_COLORS:
                 return self._texture(texture)
         return None
 

@@ -46,9 +46,8 @@ class _Builder:
         self.scene, self.frame = scene, scene.frame
         self.world = default_world(scene)
         self.placed = _placed_meshes(scene)
-        self.binds = bind_matrices(
-            scene, self.world, [cluster for placed in self.placed if placed.skin for cluster in placed.skin.clusters]
-        )
+        clusters = [cluster for placed in self.placed if placed.skin for cluster in placed.skin.clusters]
+        self.binds = bind_matrices(scene, self.world, clusters)
         self.materials = Materials(scene)
         path = scene.tree.path
         self.builder = GltfBuilder()
@@ -103,9 +102,8 @@ class _Builder:
             local, above = self._world_of(model), self.scene.above(model, self.nodes)
             if above >= 0:
                 local = inverses(self._world_of(above)[None])[0] @ local
-            self.nodes[model] = self.builder.add(
-                "nodes", {"name": self.scene.models[model].name, **_node_transform(local)}
-            )
+            node = {"name": self.scene.models[model].name, **_node_transform(local)}
+            self.nodes[model] = self.builder.add("nodes", node)
             if above >= 0:
                 self._adopt(self.nodes[above], self.nodes[model])
 
@@ -134,9 +132,8 @@ class _Builder:
         node: dict[str, Any] = {"name": placed.geometry.name or model.name}
         if skin is not None:
             self._add_weights(attributes, skin, mesh.index)
-            node["skin"] = self._bind(
-                skin, matrix @ np.linalg.inv(geometric) if abs(np.linalg.det(geometric)) > 1e-30 else matrix, shared
-            )
+            flat = abs(np.linalg.det(geometric)) <= 1e-30
+            node["skin"] = self._bind(skin, matrix if flat else matrix @ np.linalg.inv(geometric), shared)
             node["name"] = model.name
         materials = self.scene.below(model, "Material")
         triangles = mesh.triangles[:, [0, 2, 1]] if np.linalg.det(linear) < 0 else mesh.triangles
@@ -183,9 +180,8 @@ class _Builder:
         for clip in read_clips(self.scene):
             values, count = sample_clip(self.scene, clip, fps)
             raw = world_matrices(self.scene, values, models)
-            world = {
-                model: self.frame.world(some) @ self.normalise[model] for model, some in zip(models, raw, strict=True)
-            }
+            pairs = zip(models, raw, strict=True)
+            world = {model: self.frame.world(some) @ self.normalise[model] for model, some in pairs}
             clock = self.builder.array((np.arange(count) / fps).astype(np.float32)[:, None], bounds=True)
             entry: dict[str, Any] = {"name": clip.name, "channels": [], "samplers": []}
             for model in models:

@@ -124,9 +124,8 @@ def read_scene(tree: FbxTree) -> FbxScene:
     for node in tree.section("Objects").children:
         if len(node.values) >= 3 and type(node.values[0]) is int and node.values[0] != 0:
             properties = {**templates.get(node.name, {}), **_properties(node)}
-            objects[node.values[0]] = FbxObject(
-                node.values[0], node.name, str(node.values[2]), _name(str(node.values[1])), node, properties
-            )
+            number, label, subtype = node.values[:3]
+            objects[number] = FbxObject(number, node.name, str(subtype), _name(str(label)), node, properties)
     links: dict[int, list[tuple[int, str]]] = {}
     owners: dict[int, list[tuple[int, str]]] = {}
     for link in tree.section("Connections").all("C"):
@@ -212,9 +211,8 @@ def euler_matrices(degrees: np.ndarray, order: str = "XYZ") -> np.ndarray:
 def geometric_matrix(model: FbxObject) -> np.ndarray:
     """The transform of a model's mesh that its children do not have, shape (4, 4)."""
     out = np.eye(4)
-    out[:3, :3] = euler_matrices(model.numbers("GeometricRotation", (0, 0, 0))) * model.numbers(
-        "GeometricScaling", (1, 1, 1)
-    )
+    scale = model.numbers("GeometricScaling", (1, 1, 1))
+    out[:3, :3] = euler_matrices(model.numbers("GeometricRotation", (0, 0, 0))) * scale
     out[:3, 3] = model.numbers("GeometricTranslation", (0, 0, 0))
     return out
 
@@ -261,9 +259,8 @@ def _placed(model: FbxObject, index: int, values: Values, parent: _World | None)
     if parent is None:
         matrix[:, :3, :3] = rotation * scale[:, None, :]
         return _World(matrix, rotation, scale)
-    matrix[:, :3, 3] = (
-        np.einsum("nij,nj->ni", *_same(parent.matrix[:, :3, :3], matrix[:, :3, 3])) + parent.matrix[:, :3, 3]
-    )
+    carried = np.einsum("nij,nj->ni", *_same(parent.matrix[:, :3, :3], matrix[:, :3, 3]))
+    matrix[:, :3, 3] = carried + parent.matrix[:, :3, 3]
     inherit = int(model.number("InheritType", 1))
     if inherit == 1:
         matrix[:, :3, :3] = parent.matrix[:, :3, :3] @ (rotation * scale[:, None, :])

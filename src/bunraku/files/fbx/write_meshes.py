@@ -99,14 +99,9 @@ def _mesh(document: Document, name: str, part: MeshPart, index: np.ndarray, mesh
         if any(f"TEXCOORD_{number}" in entry["attributes"] for entry, _, _ in rows)
     ]  # fmt: skip
     uvs = [_layer(document, rows, f"TEXCOORD_{number}", 2, np.zeros(2)) for number in range(max(sets, default=-1) + 1)]
-    colors = (
-        _layer(document, rows, "COLOR_0", 4, np.ones(4))
-        if any("COLOR_0" in entry["attributes"] for entry, _, _ in rows)
-        else None
-    )
-    return Mesh(
-        name, index, np.concatenate(faces), np.concatenate(materials), _normals(document, rows), uvs, colors, shapes
-    )
+    painted = any("COLOR_0" in entry["attributes"] for entry, _, _ in rows)
+    colors, normals = _layer(document, rows, "COLOR_0", 4, np.ones(4)) if painted else None, _normals(document, rows)
+    return Mesh(name, index, np.concatenate(faces), np.concatenate(materials), normals, uvs, colors, shapes)
 
 
 def _offsets(document: Document, target: dict[str, Any], count: int) -> np.ndarray:

@@ -114,12 +114,8 @@ class Document:
     def item(self, kind: str, index: Any) -> dict[str, Any]:
         """One entry of a top-level list."""
         items = self.tree.get(kind, [])  # only the entry is checked: files hold thousands, and each is asked for often
-        if (
-            not isinstance(items, list)
-            or type(index) is not int
-            or not 0 <= index < len(items)
-            or not isinstance(items[index], dict)
-        ):
+        there = isinstance(items, list) and type(index) is int and 0 <= index < len(items)
+        if not there or not isinstance(items[index], dict):
             self.broken(f"{kind}[{index!r:.20}] does not exist")
         return items[index]
 

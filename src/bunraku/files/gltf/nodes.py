@@ -359,13 +359,8 @@ def clip_curves(document: Document, animation: dict[str, object]) -> Curves:
         total += len(values)
         if total > MAX_KEYS:
             document.fail(f"its clip has more than {MAX_KEYS:,} keys; cut it")
-        if (
-            not len(times)
-            or len(values) != keys * len(times)
-            or (np.diff(times) <= 0).any()
-            or not np.isfinite(values).all()
-            or not np.isfinite(times).all()
-        ):
+        fitting = len(times) > 0 and len(values) == keys * len(times) and bool((np.diff(times) > 0).all())
+        if not fitting or not np.isfinite(values).all() or not np.isfinite(times).all():
             document.broken("an animation channel has keys that do not fit together")
         curves[node, kind] = (times, values.reshape(len(times), 3, -1) if keys == 3 else values, str(how))
     return curves

@@ -195,10 +195,8 @@ class _Body:
             fields.append((f"v{number}", self._type(kind), (size,)))
             self.at += size * self._type(kind).itemsize
         self.at, dtype = start, np.dtype(fields)
-        if (
-            len(fields) < len(element.properties) + len(wanted)
-            or element.count * dtype.itemsize > len(self.body) - start
-        ):
+        whole = len(fields) == len(element.properties) + len(wanted)
+        if not whole or element.count * dtype.itemsize > len(self.body) - start:
             return None
         rows = np.frombuffer(self.body, dtype, element.count, start)
         if any((rows[name] != rows[name][0]).any() for name in dtype.names or () if name[0] == "n"):
