@@ -88,10 +88,8 @@ def read_curve(tree: FbxTree, thing: FbxObject) -> Curve | None:
     if not len(times):
         return None
     flags, data, counts = (thing.node.array(name) for name in ("KeyAttrFlags", "KeyAttrDataFloat", "KeyAttrRefCount"))
-    fitting = len(flags) == len(counts) and len(data) == 4 * len(flags) and counts.min(initial=1) >= 1
-    if (
-        not fitting or int(counts.astype(float).sum()) != len(times) or not len(flags)
-    ):  # without what says how to go from key to key, straight on
+    fitting = 0 < len(flags) == len(counts) and len(data) == 4 * len(flags) and counts.min(initial=1) >= 1
+    if not fitting or int(counts.astype(float).sum()) != len(times):  # nothing says how to go on: straight
         straight = np.zeros((len(times), 2))
         return Curve(times, values, np.zeros(len(times), np.int64), straight, straight + 1 / 3)
     data = data.reshape(-1, 4)
