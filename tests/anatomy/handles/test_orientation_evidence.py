@@ -136,6 +136,8 @@ def test_bones_are_a_witness_like_others():
     assert combined(network, bones=("+y", "-z"))[back] > 0.95
     network[[back, usual]] = 0.003, 0.987  # names may be swapped: the shape is asked too
     assert 0.05 < combined(network, bones=("+y", "-z"))[usual] < 0.95
+    alone = combined(EQUAL, bones=("+y", "-z"))  # and then the other front is meant, no side
+    assert alone[back] > 0.9 and alone[usual] > 5 * alone[ORIENTATIONS.index(("+y", "+x"))]
     assert axis_vector("-z")[2] == -1
 
 
