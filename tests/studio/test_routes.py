@@ -62,7 +62,7 @@ def test_a_take_is_queued_and_told(client, ready):
         ({"apparel": "silk"}, "apparel is one of rigid, simulate, chains, learn"),
         ({"apparel": "learn", "stiffness": 0}, "stiffness must be from 0.001 to 1000"),
         ({"after": "../../x"}, "no such take"),
-        ({"path": [[0]]}, "two entries"),
+        ({"path": [[0]]}, "two numbers"),
         ({"path": [[0, 1e9]]}, "must be from -500 to 500"),
         ({"pins": [{"part": "left_hand", "time": 1, "position": [0, 1]}]}, "three numbers"),
         ({"pins": [{"part": "left_hand", "time": 1, "position": [0, 1, 2], "rotation": [1]}]}, "matrix of three"),

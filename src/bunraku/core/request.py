@@ -80,6 +80,10 @@ SECONDS = Limit("seconds", 0.5, 120.0)
 """Length of a clip that is generated in one pass [s]; longer ones are generated in stretches."""
 WHOLE = Limit("seconds", SECONDS.low, 36_000)
 """Length of a clip, and of each of its parts [s]."""
+MOMENT = Limit("time", 0, WHOLE.high)
+"""A time in a clip [s]."""
+PLACE = Limit("a point", -1e6, 1e6)
+"""A coordinate [m]; farther from the origin a float32 is coarser than 6 cm."""
 FPS = Limit("frames a second", 1, 240)
 """Rate of a clip, a file or a video [1/s]."""
 SEED = Limit("seed", 0, 2**63 - 1)
@@ -253,7 +257,8 @@ def _tuple(inner: tuple[Any, ...], value: Any, name: str) -> tuple[Any, ...]:
             raise OptionError(f"{name} has more than {MOST_ENTRIES} entries")
         return tuple(_value(inner[0], entry, name) for entry in value)
     if len(value) != len(inner):
-        noun = "numbers" if set(inner) <= {int, float} else "entries"
+        bare = {get_args(each)[0] if get_origin(each) is Annotated else each for each in inner}
+        noun = "numbers" if bare <= {int, float} else "entries"
         raise OptionError(f"{name} must be {_COUNTS.get(len(inner), len(inner))} {noun}, not {len(value)}")
     return tuple(_value(hint, entry, name) for hint, entry in zip(inner, value, strict=True))
 

@@ -10,13 +10,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, cast
 
 from bunraku.core.request import (
     CANDIDATES,
     FPS,
     GRAVITY,
     GUIDANCE,
+    MOMENT,
     SEED,
     STEPS,
     STIFFNESS,
@@ -171,9 +172,9 @@ class Keep(Constraint, kind="keep"):
 class Pose(Constraint, kind="pose", several=True):
     """A single pose of a clip that stays; what is between such poses is generated."""
 
-    time: float  # seconds from the start of the clip
+    time: Annotated[float, MOMENT]  # seconds from the start of the clip
     take: str | None = None  # the name of the clip that the pose comes from; None is the clip itself
-    at: float | None = None  # seconds from the start of that clip; None is `time`
+    at: Annotated[float | None, MOMENT] = None  # seconds from the start of that clip; None is `time`
 
 
 class Constraints(tuple[Constraint, ...]):

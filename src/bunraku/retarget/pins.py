@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from bunraku.core.character import Handles
 from bunraku.core.geometry.curves import smooth_step
 from bunraku.core.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 from bunraku.core.motion import HandleMotion
-from bunraku.core.request import Constraint
+from bunraku.core.request import MOMENT, PLACE, Constraint
 from bunraku.errors import OptionError
 from bunraku.retarget.stages.stage import with_feet_moved
 
@@ -48,11 +49,12 @@ class Pin(Constraint, kind="pin", several=True):
     """
 
     part: str  # one of `PINNED`
-    time: float  # seconds from the start of the clip
-    position: tuple[float, float, float]  # where the wrist or ankle is [m], shape (3,), in the clip's world: +Y up
+    time: Annotated[float, MOMENT]  # seconds from the start of the clip
+    # Where the wrist or ankle is [m], in the clip's world: +Y up.
+    position: tuple[Annotated[float, PLACE], Annotated[float, PLACE], Annotated[float, PLACE]]
     # Turn of the hand or foot from the rest pose in the world, shape (3, 3); None leaves it as it is.
     rotation: np.ndarray | None = None
-    hold: float = 0.0  # seconds for which it stays there
+    hold: Annotated[float, MOMENT] = 0.0  # seconds for which it stays there
 
     def __post_init__(self) -> None:
         if self.part not in PINNED:

@@ -12,6 +12,7 @@ from bunraku.core.request import (
     FPS,
     GRAVITY,
     GUIDANCE,
+    PLACE,
     SECONDS,
     STEPS,
     STIFFNESS,
@@ -32,7 +33,6 @@ MOST_SEEDS = 8
 MOST_SEED = 2**53
 """Seeds are less, so that a browser knows them exactly."""
 TURNED = Limit("direction", -1e6, 1e6)
-PLACE = Limit("a point", -1e6, 1e6)
 TIME = Limit("time", 0, SECONDS.high)
 Motion = Literal["rigid", "simulate", "chains", "learn"]
 """How apparel moves."""
