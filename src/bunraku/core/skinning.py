@@ -32,8 +32,8 @@ def posed_points(transforms: Array, points: Array) -> Array:
 
 
 def skin(vertices: np.ndarray, weights: np.ndarray, transforms: np.ndarray) -> np.ndarray:
-    """Blend-skin vertices at rest [m] (V, 3) by weights (V, K) in every frame of affine transforms of handles (N, K, 3,
-    4) [TapMo 3] as one GEMM, (3N, 4K) @ (4K, V).
+    """Blend-skin [TapMo 3] vertices at rest [m] (V, 3) by weights (V, K) in every frame of affine transforms of handles
+    (N, K, 3, 4), as one GEMM, (3N, 4K) @ (4K, V).
 
     Returns:
         Posed positions [m], shape (N, V, 3), float32: a view with coordinates apart; `result[n]` is cheap to make
