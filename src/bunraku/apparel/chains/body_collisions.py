@@ -79,7 +79,8 @@ class PushOutOfBody:
         each: Points of a link that are looked at.
         points: Points of the body.
         passes: How often links are rotated.
-        shared: Passes after which what links were rotated is shared with their neighbours.
+        shared: Passes after which what links were rotated is shared with their neighbours: after two of them alone,
+            hair in layers and the skirt of a lifted knee are torn.
         rounds: How often, each time.
         most: Points deeper than this are on the wrong side of something thin and stay, over the size [m].
         clear: How near the body points may come that were farther off at rest, over the size [m]; those that were
@@ -96,8 +97,8 @@ class PushOutOfBody:
     each: int = 20
     points: int = 3000
     passes: int = 9
-    shared: tuple[int, ...] = (2, 5)
-    rounds: int = 1
+    shared: tuple[int, ...] = (1, 3, 5, 7)
+    rounds: int = 3
     most: float = 0.12
     clear: float = -0.002
     farthest: float = 0.35
