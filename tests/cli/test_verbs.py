@@ -241,8 +241,10 @@ def options_of(kind):
         if dataclasses.is_dataclass(field.default_factory):
             yield from options_of(field.default_factory)
         elif "Suppress" not in str(field.type):
-            shared = getattr(importlib.import_module(kind.__module__), str(field.type), None)  # a type with a name
-            told = [getattr(each, "name", None) for each in getattr(shared, "__metadata__", ())]
+            named_type: object = importlib.import_module(kind.__module__)
+            for part in str(field.type).split("."):  # a type with a name, in its module or another one
+                named_type = getattr(named_type, part, None)
+            told = [getattr(each, "name", None) for each in getattr(named_type, "__metadata__", ())]
             named = re.findall(r"""arg\(name=['"]([^'"]+)['"]""", str(field.type)) + [name for name in told if name]
             yield named[0] if named else field.name.replace("_", "-")
 
