@@ -146,12 +146,9 @@ def test_broken_weights_are_mended(load):
         assert dense[v].tolist() in dense[near].tolist()
 
 
-@pytest.mark.parametrize("moved", [False, True])
-def test_what_only_an_idle_joint_holds_goes_with_what_is_nearest(load, moved):
-    """Blender binds vertices without weights to a joint of its own; one that a clip moves is a joint like others."""
-    maker = Maker()
+def bound(maker: Maker, rows, moved: bool = False) -> bytes:
+    """Cubes on a joint each: 0 with 1 below it, and 2 apart from them, which a clip may move."""
     weights = np.eye(1, 4, dtype=np.float32).repeat(8, axis=0)
-    rows = [(CUBE, 1), (CUBE + np.float32([0, 6, 0]), 0), (0.1 * CUBE + np.float32([0, 4.5, 0]), 2)]
     primitives = [
         maker.cube(
             attributes={
@@ -167,16 +164,29 @@ def test_what_only_an_idle_joint_holds_goes_with_what_is_nearest(load, moved):
         "channels": [{"sampler": 0, "target": {"node": 3 if moved else 1, "path": "translation"}}],
         "samplers": [{"input": times, "output": path}],
     }
-    thing = load(
-        maker.glb(
-            nodes=[{"mesh": 0, "skin": 0}, {"children": [2]}, {}, {}],
-            scenes=[{"nodes": [0, 1, 3]}],
-            meshes=[{"primitives": primitives}],
-            skins=[{"joints": [1, 2, 3]}],
-            animations=[clip],
-        )
+    return maker.glb(
+        nodes=[{"mesh": 0, "skin": 0}, {"children": [2]}, {}, {}],
+        scenes=[{"nodes": [0, 1, 3]}],
+        meshes=[{"primitives": primitives}],
+        skins=[{"joints": [1, 2, 3]}],
+        animations=[clip],
     )
+
+
+@pytest.mark.parametrize("moved", [False, True])
+def test_what_only_an_idle_joint_holds_goes_with_what_is_nearest(load, moved):
+    """Blender binds vertices without weights to a joint of its own; one that a clip moves is a joint like others."""
+    rows = [(CUBE, 1), (CUBE + np.float32([0, 6, 0]), 0), (0.1 * CUBE + np.float32([0, 4.5, 0]), 2)]
+    thing = load(bound(Maker(), rows, moved))
     assert thing.rig.dense_weights()[-8:].tolist() == [[0, 0, 1] if moved else [1, 0, 0]] * 8
+
+
+def test_a_belt_goes_with_the_trunk_though_a_hand_is_nearest_and_a_barrel_with_its_gun(load):
+    hand, belt = 0.2 * CUBE + np.float32([1.6, 0, 1.3]), CUBE * np.float32([1.3, 0.1, 1.3])
+    gun, barrel = CUBE * np.float32([0.1, 0.5, 0.1]) + [2, 0.5, 1.3], 0.02 * CUBE + [2, 1.3, 1.3]
+    rows = [(CUBE, 0), (hand, 1), *((points.astype(np.float32), 2) for points in (belt, gun, barrel))]
+    held = load(bound(Maker(), rows)).rig.dense_weights()[16:].argmax(axis=1).reshape(3, 8)
+    assert held.tolist() == [[0] * 8, [1] * 8, [1] * 8]
 
 
 def test_eight_influences(load):

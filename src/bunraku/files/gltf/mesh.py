@@ -278,8 +278,9 @@ def _borrow(
     raws: list[np.ndarray], triangles: list[np.ndarray], held: list[tuple[np.ndarray, np.ndarray] | None],
     idle: np.ndarray,
 ) -> None:  # fmt: skip
-    """Give the vertices of a mesh that no joint moves the weights of the nearest ones that some do, in place; loose
-    pieces of them move as a whole.
+    """Give the vertices of a mesh that no joint moves the weights of the nearest ones that some do, in place. A loose
+    piece of them moves as a whole with the joint that is nearest to most of it; one that lies apart, as the barrel of
+    a gun, is asked last, when what it hangs on is known.
 
     Args:
         raws: Positions of each primitive, shape (V, 3).
@@ -307,11 +308,22 @@ def _borrow(
     index = np.unique(points, axis=0, return_inverse=True)[1].reshape(-1)
     piece = mesh_parts(np.concatenate([index[corners[:, :2]], index[corners[:, 1:]]]), int(index.max()) + 1)[index]
     piece[lost] = np.where(np.isin(piece[lost], piece[good]), len(points) + lost, piece[lost])  # each for itself
-    gap, near = cKDTree(points[good]).query(points[lost])
-    order = np.argsort(gap, kind="stable")  # of a loose piece, the vertex that is nearest speaks for all
-    _, first, back = np.unique(piece[lost][order], return_index=True, return_inverse=True)
-    near[order] = near[order][first][back.reshape(-1)]
-    slots[lost], shares[lost] = slots[good[near]], shares[good[near]]
+    for again in (False, True):
+        if not len(lost):
+            break
+        gap, near = cKDTree(points[good]).query(points[lost])
+        _, own, size = np.unique(piece[lost], return_inverse=True, return_counts=True)
+        least, most = np.full(len(size), np.inf), np.zeros(len(size))
+        np.minimum.at(least, own, gap)
+        np.maximum.at(most, own, gap)
+        beside = (size == 1) | (2 * least <= most) | again
+        joint = slots[good[near], shares[good[near]].argmax(axis=1)]
+        _, vote, many = np.unique(own * len(idle) + joint, return_inverse=True, return_counts=True)
+        order = np.lexsort((gap, -many[vote], own))  # the nearest of the joint that most of a piece is near to
+        speaks = near[order][np.searchsorted(own[order], np.arange(len(size)))][own]
+        told = beside[own]
+        slots[lost[told]], shares[lost[told]] = slots[good[speaks[told]]], shares[good[speaks[told]]]
+        good, lost = np.concatenate([good, lost[told]]), lost[~told]
     for number, own, share in zip(pairs, np.split(slots, starts[1:-1]), np.split(shares, starts[1:-1]), strict=True):
         held[number] = own, share
 
