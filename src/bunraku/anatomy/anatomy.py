@@ -84,37 +84,28 @@ _TAIL = ("tail", "tail_tip")
 
 @dataclass(frozen=True, eq=False)
 class Anatomy:
-    """What is known of a body, in its rest pose.
+    """What is known of a body, in its rest pose."""
 
-    Args:
-        character: The character, +Y up and facing +Z [m].
-        handles: Its handles, K = 30 with the reference body's meaning; those with `roles` move as the handles whose
-            parts they play, about their own joints.
-        mesh: The character on few vertices, V, on which all else is measured (`decimated`).
-        mesh_handles: The handles with the weights of those vertices.
-        known: What a rig or rigid blocks tell of the rest pose: the rotation of each handle into the reference body's,
-            shape (K, 3, 3), and the joints. None measures them.
-        named: Whether the names of a rig's bones tell that its limbs are limbs.
-    """
-
-    character: Character
+    character: Character  # the character, +Y up and facing +Z [m]
+    # its handles, K = 30 with the reference body's meaning; those with `roles` move as the handles whose parts they
+    # play, about their own joints
     handles: Handles
-    mesh: Character
-    mesh_handles: Handles
+    mesh: Character  # the character on few vertices, V, on which all else is measured (`decimated`)
+    mesh_handles: Handles  # the handles with the weights of those vertices
+    # What a rig or rigid blocks tell of the rest pose: the rotation of each handle into the reference body's, shape (K,
+    # 3, 3), and the joints. None measures them.
     known: tuple[np.ndarray, Joints] | None = None
-    named: bool = False
+    named: bool = False  # whether the names of a rig's bones tell that its limbs are limbs
 
     @classmethod
     def of(cls, character: Character, handles: Handles, known: tuple[np.ndarray, Joints] | None = None) -> Anatomy:
-        """The anatomy of a character by its handles.
+        """The anatomy of a character by its handles. CharacterError if the handles are not as many as the reference
+        body's.
 
         Args:
             character: +Y up and facing +Z, in the pose that its motions are relative to.
             handles: Its handles.
             known: What a rig tells of the rest pose.
-
-        Raises:
-            CharacterError: The handles are not as many as the reference body's.
         """
         count = len(HANDLE_NAMES)
         if len(handles.positions) != count:

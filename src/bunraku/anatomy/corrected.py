@@ -122,14 +122,12 @@ def corrected_handles(character: Character, handles: Handles) -> Handles:
     """Handles as a person corrected them.
 
     Where a joint is moved, vertices whose bone becomes another one take their weights from the bones; all others keep
-    theirs. A piece is then given to the handles of its kind.
+    theirs. A piece is then given to the handles of its kind. CharacterError if a joint is said that the body does not
+    have.
 
     Args:
         character: The character; without corrections its handles stay as they are.
         handles: As they were found.
-
-    Raises:
-        CharacterError: A joint is said that the body does not have.
     """
     said = character.corrections
     if said is None or not said.changes_body:

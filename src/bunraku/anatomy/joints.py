@@ -31,17 +31,11 @@ CLOSE = 0.1  # how fast closeness fades, as a share of a part's size
 
 @dataclass(frozen=True)
 class Joints:
-    """Where handles meet their parents, in the rest pose.
+    """Where handles meet their parents, in the rest pose."""
 
-    Args:
-        positions: Joint between each handle and its parent [m], shape (K, 3); for the root the handle itself.
-        parents: Nearest ancestor that is present, shape (K,); -1 for the root.
-        present: Whether a handle has vertices of its own, shape (K,).
-    """
-
-    positions: np.ndarray
-    parents: np.ndarray
-    present: np.ndarray
+    positions: np.ndarray  # joint between each handle and its parent [m], shape (K, 3); for the root the handle itself
+    parents: np.ndarray  # nearest ancestor that is present, shape (K,); -1 for the root
+    present: np.ndarray  # whether a handle has vertices of its own, shape (K,)
 
 
 def find_joints(character: Character, handles: Handles) -> Joints:
@@ -261,18 +255,13 @@ _LEAVES = sorted(set(range(len(HANDLE_NAMES))) - set(HANDLE_PARENTS))
 
 @dataclass(frozen=True, eq=False)
 class LimbView:
-    """A character as if it had one limb of each kind.
+    """A character as if it had one limb of each kind."""
 
-    Args:
-        handles: Handles that all play their own parts, as their `roles` say where it has further limbs. What other
-            limbs weigh is on one that the character lacks.
-        members: Handle of the character that plays each of them, -1 for none, shape (K,).
-        own: Which of them this view speaks for.
-    """
-
+    # Handles that all play their own parts, as their `roles` say where it has further limbs. What other limbs weigh is
+    # on one that the character lacks.
     handles: Handles
-    members: np.ndarray
-    own: list[int]
+    members: np.ndarray  # handle of the character that plays each of them, -1 for none, shape (K,)
+    own: list[int]  # which of them this view speaks for
 
 
 def _limb_of(role: int) -> list[int]:

@@ -43,26 +43,18 @@ _LEGS = len(_PARTS) // 2
 
 @dataclass(frozen=True, eq=False)
 class Leg:
-    """A limb that stands on the ground.
+    """A limb that stands on the ground."""
 
-    Args:
-        upper: Handle of its upper part.
-        lower: Handle of its lower part; the same where the leg is one rigid block.
-        foot: Handles of its foot, from the ankle on; none where the lower part stands on the ground itself.
-        joints: Where it meets the body, its knee and its ankle, in the rest pose [m], shape (3, 3). The knee of one
-            block is its middle.
-        sole: Vertices that tell where its foot is, shape (m,).
-        foot_area: All vertices of its foot, shape (f,).
-        length: From where it meets the body to its sole, along its bones [m].
-    """
-
-    upper: int
-    lower: int
+    upper: int  # handle of its upper part
+    lower: int  # handle of its lower part; the same where the leg is one rigid block
+    # handles of its foot, from the ankle on; none where the lower part stands on the ground itself
     foot: tuple[int, ...]
+    # Where it meets the body, its knee and its ankle, in the rest pose [m], shape (3, 3). The knee of one block is its
+    # middle.
     joints: np.ndarray
-    sole: np.ndarray
-    foot_area: np.ndarray
-    length: float
+    sole: np.ndarray  # vertices that tell where its foot is, shape (m,)
+    foot_area: np.ndarray  # all vertices of its foot, shape (f,)
+    length: float  # from where it meets the body to its sole, along its bones [m]
 
     def reach(self, joint: np.ndarray) -> float:
         """How far the sole is from one of its joints, along its bones [m]."""
@@ -365,15 +357,10 @@ def stride_scale(character: Character, handles: Handles, stands: np.ndarray) -> 
 
 
 class Reach(NamedTuple):
-    """The extreme points of every part of a body, among which is the lowest one in any pose.
+    """The extreme points of every part of a body, among which is the lowest one in any pose."""
 
-    Args:
-        vertices: Rest positions [m], shape (n, 3).
-        weights: Of the handles, shape (n, K).
-    """
-
-    vertices: np.ndarray
-    weights: np.ndarray
+    vertices: np.ndarray  # rest positions [m], shape (n, 3)
+    weights: np.ndarray  # of the handles, shape (n, K)
 
     @classmethod
     def of(cls, vertices: np.ndarray, weights: np.ndarray) -> Reach:
@@ -399,26 +386,16 @@ _TAIL = [HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")]
 
 @dataclass(frozen=True)
 class BodyPlan:
-    """What a body stands and moves with.
+    """What a body stands and moves with."""
 
-    Args:
-        hind: How many legs play those of a person.
-        front: How many legs play the arms of a person.
-        upright: Whether the head is over the hips.
-        arms: Whether two arms are there, standing or not.
-        wings: Whether two wings are there.
-        tail: Whether a tail is there.
-        long: Whether it is longer than fish are, for its height.
-        further: How many legs it has beside these that stand without a knee of their own: of a spider's and a crab's.
-    """
-
-    hind: int
-    front: int
-    upright: bool
-    arms: bool
-    wings: bool
-    tail: bool
-    long: bool = False
+    hind: int  # how many legs play those of a person
+    front: int  # how many legs play the arms of a person
+    upright: bool  # whether the head is over the hips
+    arms: bool  # whether two arms are there, standing or not
+    wings: bool  # whether two wings are there
+    tail: bool  # whether a tail is there
+    long: bool = False  # whether it is longer than fish are, for its height
+    # how many legs it has beside these that stand without a knee of their own: of a spider's and a crab's
     further: int = 0
 
     @property
@@ -516,16 +493,14 @@ def _on_ground(character: Character, handles: Handles, limb: list[int]) -> bool:
 
 
 def check_plans(source: BodyPlan, target: BodyPlan, name: str, flies: bool = False) -> None:
-    """Refuse a motion that the limbs of a character cannot make.
+    """Refuse a motion that the limbs of a character cannot make. CharacterError if what carries the source is missing,
+    or what carries the character would not be moved.
 
     Args:
         source: Of the body that moves.
         target: Of the character.
         name: Of the character.
         flies: Whether the motion is carried by wings; then only these are needed.
-
-    Raises:
-        CharacterError: What carries the source is missing, or what carries the character would not be moved.
     """
     if flies:
         if not target.wings:

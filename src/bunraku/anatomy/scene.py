@@ -33,17 +33,11 @@ MOST_PARTS = 3000  # loose parts that are looked at; more are leaves or crumbs o
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """The pieces of a character's file, as masks over its vertices, shape (V,), bool.
+    """The pieces of a character's file, as masks over its vertices, shape (V,), bool."""
 
-    Args:
-        characters: The characters, the largest first; at least one.
-        ground: What they stand on.
-        strays: Pieces that lie apart from all, small ones or below.
-    """
-
-    characters: tuple[np.ndarray, ...]
-    ground: np.ndarray
-    strays: np.ndarray
+    characters: tuple[np.ndarray, ...]  # the characters, the largest first; at least one
+    ground: np.ndarray  # what they stand on
+    strays: np.ndarray  # pieces that lie apart from all, small ones or below
 
     @property
     def lines(self) -> list[str]:
@@ -98,14 +92,12 @@ def find_scene(character: Character) -> Scene:
 
 def separated(character: Character, number: int | None = None) -> tuple[Character, list[str]]:
     """One of the characters of a file, with all else standing still beside it, and what there is to say about it.
+    OptionError if there are not so many.
 
     Args:
         character: Standing along +Y; one with a rig is left as it is, for its bones move what they hold, and so is one
             that is separated already.
         number: Which of the characters, from 1, the largest; None for that one.
-
-    Raises:
-        OptionError: There are not so many.
     """
     said = character.corrections
     if number is None and said is not None and character.beside is None:
@@ -136,16 +128,11 @@ def _separated(character: Character, number: int | None) -> tuple[Character | No
 
 @dataclass(frozen=True, eq=False)
 class _Pieces:
-    """The loose parts of a mesh.
+    """The loose parts of a mesh."""
 
-    Args:
-        points: Points spread over each part, and its vertices, a list of arrays (S, 3).
-        areas: Of each part, shape (P,).
-        low, high: Corners of the box of each part, shape (P, 3).
-    """
-
-    points: list[np.ndarray]
-    areas: np.ndarray
+    points: list[np.ndarray]  # points spread over each part, and its vertices, a list of arrays (S, 3)
+    areas: np.ndarray  # of each part, shape (P,)
+    # low, high: corners of the box of each part, shape (P, 3)
     low: np.ndarray
     high: np.ndarray
 

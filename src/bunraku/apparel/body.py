@@ -37,11 +37,7 @@ class UnifiedBody:
 
     @classmethod
     def of(cls, character: Character) -> UnifiedBody:
-        """Read a character's rig.
-
-        Raises:
-            CharacterError: There is no rig, or it is not that of a person.
-        """
+        """Read a character's rig. CharacterError if there is no rig, or it is not that of a person."""
         parts = RigParts.of(character)
         if not parts.humanoid or character.rig is None:
             raise CharacterError(

@@ -60,36 +60,23 @@ def part_stiffness(
 
 @dataclass(frozen=True, eq=False)
 class ClothedCharacter:
-    """A character with apparel.
+    """A character with apparel. CharacterError if the shapes do not fit."""
 
-    Args:
-        rest, faces: Rest mesh V [m], float32, shapes (V, 3) and (F, 3).
-        joints: J, SMPL's 22 joints in the rest pose [m], shape (22, 3).
-        weights: Skinning weights W for the joints, shape (V, 22); an apparel vertex has those of its carrier.
-        apparel: The mask, shape (V,), bool.
-        part: Number of the apparel part of each vertex, -1 on the body, shape (V,).
-        stiffness: Of each part (`part_stiffness`), shape (P,).
-        damping: Of each part: share of the velocity that it loses in a second, shape (P,).
-        limit: Of each part: how far a joint of it may rotate [rad], shape (P,); freely when None.
-        kinds: Kind of each part (`chains.chain.KINDS`), length P; empty where it is not known.
-        swing: How each vertex swings by the joints above it, rows of `Swing`, shape (V, SWING_NUMBERS); None where only
-            the parts' stiffness is known.
-
-    Raises:
-        CharacterError: The shapes do not fit.
-    """
-
+    # rest, faces: rest mesh V [m], float32, shapes (V, 3) and (F, 3)
     rest: np.ndarray
     faces: np.ndarray
-    joints: np.ndarray
-    weights: np.ndarray
-    apparel: np.ndarray
-    part: np.ndarray
-    stiffness: np.ndarray
-    damping: np.ndarray
+    joints: np.ndarray  # J, SMPL's 22 joints in the rest pose [m], shape (22, 3)
+    weights: np.ndarray  # skinning weights W for the joints, shape (V, 22); an apparel vertex has those of its carrier
+    apparel: np.ndarray  # the mask, shape (V,), bool
+    part: np.ndarray  # number of the apparel part of each vertex, -1 on the body, shape (V,)
+    stiffness: np.ndarray  # of each part (`part_stiffness`), shape (P,)
+    damping: np.ndarray  # of each part: share of the velocity that it loses in a second, shape (P,)
+    # of each part: how far a joint of it may rotate [rad], shape (P,); freely when None
     limit: np.ndarray = None  # type: ignore[assignment]
+    # How each vertex swings by the joints above it, rows of `Swing`, shape (V, SWING_NUMBERS); None where only the
+    # parts' stiffness is known.
     swing: np.ndarray | None = None
-    kinds: tuple[str, ...] = ()
+    kinds: tuple[str, ...] = ()  # kind of each part (`chains.chain.KINDS`), length P; empty where it is not known
 
     def __post_init__(self) -> None:
         count, parts = len(self.rest), int(self.part.max(initial=-1)) + 1

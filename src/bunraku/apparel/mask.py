@@ -39,16 +39,14 @@ def file_beside(character: Character, suffixes: Sequence[str]) -> Path | None:
 
 
 def read_artist_mask(path: str | Path, character: Character) -> np.ndarray:
-    """A mask from a file, shape (V,), bool.
+    """A mask from a file, shape (V,), bool. FormatError if the file is broken, of another kind, or belongs to another
+    mesh.
 
     Args:
         path: NPY with a number for each vertex, apparel above a half; text with the index of an apparel vertex in each
             line, counted from 0; or a PLY or GLB of the same mesh, in any order, whose vertices are painted red where
             they are apparel.
         character: Its character.
-
-    Raises:
-        FormatError: The file is broken, of another kind, or belongs to another mesh.
     """
     path = Path(path)
     count, suffix = len(character.vertices), path.suffix.lower()
@@ -101,9 +99,7 @@ APPAREL_SHARE = 0.5  # weight on moved joints from which on a vertex is apparel;
 def apparel_mask(character: Character, model: MmdModel | VrmModel | None = None) -> np.ndarray | None:
     """Vertices whose weight on joints that physics move exceeds a half, or the mask beside the file (`artist_mask`),
     shape (V,), bool; None where neither is there. `model` is what its file says, where that is known already.
-
-    Raises:
-        FormatError: The nodes of its file, or the mask beside it, are broken.
+    FormatError if the nodes of its file, or the mask beside it, are broken.
     """
     drawn = artist_mask(character)
     if drawn is not None:

@@ -23,13 +23,11 @@ LARGE = 0.3  # of all points: a piece with more may be the body itself; chosen b
 def whole_pieces(vertices: np.ndarray, faces: np.ndarray, apparel: np.ndarray) -> np.ndarray:
     """Number of the loose piece of the mesh of each vertex where much of that is apparel, -1 elsewhere, shape (V,). A
     lock of hair whose upper half is not marked hangs on the head all the same, whatever arm lies beside it.
+    CharacterError if the mesh is broken.
 
     Args:
         vertices, faces: Rest mesh [m], shapes (V, 3) and (F, 3).
         apparel: The mask, shape (V,), bool.
-
-    Raises:
-        CharacterError: The mesh is broken.
     """
     index, edges, cloth = _welded(vertices, faces, apparel)
     count = len(cloth)

@@ -44,55 +44,33 @@ FEATURES = 3 + 3 + 4 + 7 + SHAPE
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Points on a mesh.
+    """Points on a mesh."""
 
-    Args:
-        points: In units of the largest extent, from the middle of the bounding box, shape (S, 3).
-        normals: Shape (S, 3).
-        colors: sRGB from 0 to 1, shape (S, 3), or None.
-        part: Loose part of each, shape (S,).
-        shape: Local shape (`_local_shape`), shape (S, SHAPE).
-    """
-
-    points: np.ndarray
-    normals: np.ndarray
-    colors: np.ndarray | None
-    part: np.ndarray
-    shape: np.ndarray
+    points: np.ndarray  # in units of the largest extent, from the middle of the bounding box, shape (S, 3)
+    normals: np.ndarray  # shape (S, 3)
+    colors: np.ndarray | None  # sRGB from 0 to 1, shape (S, 3), or None
+    part: np.ndarray  # loose part of each, shape (S,)
+    shape: np.ndarray  # local shape (`_local_shape`), shape (S, SHAPE)
 
 
 @dataclass(frozen=True, eq=False)
 class PartPoints:
-    """A mesh as the part network sees it.
+    """A mesh as the part network sees it."""
 
-    Args:
-        surface: Its points.
-        vertex: The vertex of the mesh nearest to each point within its face, shape (S,).
-        gather: For each centre, points near it, shape (CENTRES, GATHERED).
-        beside: For each centre, centres near it, shape (CENTRES, BESIDE).
-        gather_up: For each token, centres near it, shape (TOKENS, GATHERED).
-        down: For each centre, the nearest tokens, shape (CENTRES, 3), and their shares.
-        down_shares: As said.
-        fine: For each point, the nearest centres, shape (POINTS, 3), and their shares.
-        fine_shares: As said.
-    """
-
-    surface: Surface
-    vertex: np.ndarray
-    gather: np.ndarray
-    beside: np.ndarray
-    gather_up: np.ndarray
-    down: np.ndarray
-    down_shares: np.ndarray
-    fine: np.ndarray
-    fine_shares: np.ndarray
+    surface: Surface  # its points
+    vertex: np.ndarray  # the vertex of the mesh nearest to each point within its face, shape (S,)
+    gather: np.ndarray  # for each centre, points near it, shape (CENTRES, GATHERED)
+    beside: np.ndarray  # for each centre, centres near it, shape (CENTRES, BESIDE)
+    gather_up: np.ndarray  # for each token, centres near it, shape (TOKENS, GATHERED)
+    down: np.ndarray  # for each centre, the nearest tokens, shape (CENTRES, 3), and their shares
+    down_shares: np.ndarray  # as said
+    fine: np.ndarray  # for each point, the nearest centres, shape (POINTS, 3), and their shares
+    fine_shares: np.ndarray  # as said
 
 
 def loose_parts(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Number of the loose part that each face is of, shape (F,), by a mesh whose seams are closed.
-
-    Raises:
-        CharacterError: The mesh is broken.
+    """Number of the loose part that each face is of, shape (F,), by a mesh whose seams are closed. CharacterError if
+    the mesh is broken.
     """
     clean = clean_mesh(vertices, faces)
     piece = mesh_parts(unique_edges(clean.faces, len(clean.vertices)), len(clean.vertices))
@@ -205,22 +183,14 @@ def _local_shape(points: np.ndarray, normals: np.ndarray, near: np.ndarray) -> n
 
 @dataclass(frozen=True)
 class PartConfig:
-    """Shape of the part network.
+    """Shape of the part network."""
 
-    Args:
-        fine: Channels of points.
-        middle: Channels of centres.
-        coarse: Channels of tokens.
-        layers: Transformer layers over the tokens.
-        heads: Of their attention.
-        before, after: Blocks over the centres before and after the transformer.
-    """
-
-    fine: int = 64
-    middle: int = 112
-    coarse: int = 128
-    layers: int = 4
-    heads: int = 4
+    fine: int = 64  # channels of points
+    middle: int = 112  # channels of centres
+    coarse: int = 128  # channels of tokens
+    layers: int = 4  # transformer layers over the tokens
+    heads: int = 4  # of their attention
+    # before, after: blocks over the centres before and after the transformer
     before: int = 2
     after: int = 2
 
@@ -266,14 +236,11 @@ class _Beside:
 
 
 class PartNetwork:
-    """The network.
+    """The network. ValueError if the weights have other sizes.
 
     Args:
         config: Its shape.
         weights: Of a checkpoint.
-
-    Raises:
-        ValueError: The weights have other sizes.
     """
 
     def __init__(self, config: PartConfig, weights: Weights):
@@ -374,9 +341,7 @@ def blended(x: np.ndarray, index: np.ndarray, shares: np.ndarray) -> np.ndarray:
 
 
 def load_parts(path: str | Path) -> PartNetwork:
-    """Read a checkpoint of kind "parts", ready to use.
-
-    Raises:
-        WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
+    """Read a checkpoint of kind "parts", ready to use. WeightsError if the file is missing, damaged, of another kind,
+    or its weights do not fit its config.
     """
     return load_network(path, "parts", lambda shape, weights: PartNetwork(config_of(PartConfig, shape), weights))

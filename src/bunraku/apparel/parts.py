@@ -54,17 +54,11 @@ _HEAD, _CHEST = HANDLE_NAMES.index("head"), HANDLE_NAMES.index("spine3")
 
 @dataclass(frozen=True, eq=False)
 class FoundParts:
-    """What the network says of each vertex of a mesh.
+    """What the network says of each vertex of a mesh."""
 
-    Args:
-        parts: Probability of each of `PARTS`, shape (V, 9).
-        hangs: Probability that physics would move it, shape (V,).
-        carriers: Probability of each of `CARRIERS`, shape (V, 7).
-    """
-
-    parts: np.ndarray
-    hangs: np.ndarray
-    carriers: np.ndarray
+    parts: np.ndarray  # probability of each of `PARTS`, shape (V, 9)
+    hangs: np.ndarray  # probability that physics would move it, shape (V,)
+    carriers: np.ndarray  # probability of each of `CARRIERS`, shape (V, 7)
 
     @property
     def label(self) -> np.ndarray:
@@ -79,21 +73,13 @@ class FoundParts:
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """The parts of a character besides its body.
+    """The parts of a character besides its body."""
 
-    Args:
-        label: Number in `PARTS` of each vertex, shape (V,), int8.
-        number: The part of each vertex, -1 on the body, shape (V,), int32.
-        hangs: Vertices that swing where their part is moved, shape (V,), bool.
-        kinds: Kind of each part, one of `PARTS`.
-        carriers: What carries each, one of `CARRIERS`.
-    """
-
-    label: np.ndarray
-    number: np.ndarray
-    hangs: np.ndarray
-    kinds: tuple[str, ...]
-    carriers: tuple[str, ...]
+    label: np.ndarray  # number in `PARTS` of each vertex, shape (V,), int8
+    number: np.ndarray  # the part of each vertex, -1 on the body, shape (V,), int32
+    hangs: np.ndarray  # vertices that swing where their part is moved, shape (V,), bool
+    kinds: tuple[str, ...]  # kind of each part, one of `PARTS`
+    carriers: tuple[str, ...]  # what carries each, one of `CARRIERS`
 
     def __len__(self) -> int:
         return len(self.kinds)
@@ -130,11 +116,8 @@ _known: OrderedDict[bytes, FoundParts] = OrderedDict()
 
 
 def parts_of(character: Character) -> Parts:
-    """The parts of a character: those that the network finds, as a person corrected them.
-
-    Raises:
-        CharacterError: The mesh is broken.
-        WeightsError: The shipped weights are missing or broken.
+    """The parts of a character: those that the network finds, as a person corrected them. CharacterError if the mesh is
+    broken; WeightsError if the shipped weights are missing or broken.
     """
     colors = None if character.colors is None else character.colors / np.float32(255)
     arrays = (character.vertices, character.faces, *(() if colors is None else (colors,)))
@@ -172,17 +155,14 @@ def part_point(character: Character, parts: Parts, number: int) -> tuple[float, 
 def find_parts(
     vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray | None = None, checkpoint: str | Path | None = None
 ) -> FoundParts:
-    """What part each vertex is of, what carries it, and whether it hangs.
+    """What part each vertex is of, what carries it, and whether it hangs. CharacterError if the mesh is broken;
+    WeightsError if the checkpoint is missing or does not fit.
 
     Args:
         vertices: Rest mesh [m], +Y up and facing +Z, shape (V, 3).
         faces: Shape (F, 3).
         colors: sRGB from 0 to 1 of each vertex, shape (V, 3), or None.
         checkpoint: Weights of kind "parts" in place of the shipped ones.
-
-    Raises:
-        CharacterError: The mesh is broken.
-        WeightsError: The checkpoint is missing or does not fit.
     """
     model = _model(*dated_checkpoint("parts", checkpoint))
     vertices, faces = np.asarray(vertices, np.float64), np.asarray(faces, np.int64)

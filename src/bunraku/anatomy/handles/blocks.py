@@ -28,19 +28,12 @@ CUT = 0.1  # share of common rim edges from which on two blocks were cut from on
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """The blocks of a character.
+    """The blocks of a character."""
 
-    Args:
-        label: Block of each vertex, -1 for those without faces, shape (V,).
-        names: What the file calls them, length B.
-        origins: Where their nodes stand, about which their authors turned them [m], shape (B, 3).
-        above: The block whose node is above each in the file, -1 for none, shape (B,).
-    """
-
-    label: np.ndarray
-    names: tuple[str, ...]
-    origins: np.ndarray
-    above: np.ndarray
+    label: np.ndarray  # block of each vertex, -1 for those without faces, shape (V,)
+    names: tuple[str, ...]  # what the file calls them, length B
+    origins: np.ndarray  # where their nodes stand, about which their authors turned them [m], shape (B, 3)
+    above: np.ndarray  # the block whose node is above each in the file, -1 for none, shape (B,)
 
 
 def find_blocks(character: Character) -> Blocks | None:
@@ -173,19 +166,12 @@ ROUND = 1.25  # length over width from which on a block is long
 
 @dataclass(frozen=True, eq=False)
 class BlockShapes:
-    """The surfaces of blocks as points.
-
-    Args:
-        blocks: The blocks.
-        points: Points spread over each block by area [m], a list of arrays (P, 3).
-        areas: Surface of each block [m^2], shape (B,).
-        height: Of the character [m].
-    """
+    """The surfaces of blocks as points."""
 
     blocks: Blocks
-    points: list[np.ndarray]
-    areas: np.ndarray
-    height: float
+    points: list[np.ndarray]  # points spread over each block by area [m], a list of arrays (P, 3)
+    areas: np.ndarray  # surface of each block [m^2], shape (B,)
+    height: float  # of the character [m]
 
     @classmethod
     def of(cls, character: Character, blocks: Blocks) -> BlockShapes:
@@ -288,19 +274,12 @@ _LIMBS = ("arm", "leg", "front leg", "wing")
 
 @dataclass(frozen=True, eq=False)
 class BlockParts:
-    """What blocks are.
+    """What blocks are."""
 
-    Args:
-        handles: Handle of each block, shape (B,).
-        upright: Whether it stands on two legs or none, and not on four.
-        named: Whether names say what the limbs of both sides are.
-        trunk: The blocks of the trunk.
-    """
-
-    handles: np.ndarray
-    upright: bool
-    named: bool
-    trunk: list[int]
+    handles: np.ndarray  # handle of each block, shape (B,)
+    upright: bool  # whether it stands on two legs or none, and not on four
+    named: bool  # whether names say what the limbs of both sides are
+    trunk: list[int]  # the blocks of the trunk
 
 
 @dataclass(frozen=True, eq=False)

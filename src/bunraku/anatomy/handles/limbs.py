@@ -36,19 +36,12 @@ GROUND = 0.2  # largest distance from the tip of a leg to the lowest point, over
 
 @dataclass(frozen=True, eq=False)
 class Limb:
-    """A limb of those that share their handles.
+    """A limb of those that share their handles."""
 
-    Args:
-        members: Vertices of its lower parts, shape (m,).
-        start: Distance from the body, along the mesh, at which it is on its own.
-        end: Distance of its tip.
-        area: Of its members.
-    """
-
-    members: np.ndarray
-    start: float
-    end: float
-    area: float
+    members: np.ndarray  # vertices of its lower parts, shape (m,)
+    start: float  # distance from the body, along the mesh, at which it is on its own
+    end: float  # distance of its tip
+    area: float  # of its members
 
 
 def limb_handles(side: str, family: tuple[str, ...]) -> list[int]:
@@ -201,25 +194,16 @@ def _person(mesh: NetworkMesh, weights: np.ndarray) -> bool:
 
 @dataclass(eq=False)
 class _Split:
-    """Limbs that share their handles.
+    """Limbs that share their handles."""
 
-    Args:
-        columns: The handles.
-        legs: Those of the leg of that side.
-        parts: What each of the handles weighs, shape (M, P).
-        members: How much each vertex is of each limb, shape (M, L).
-        stands: Which limbs stand on the ground.
-        side: 0 for left, 1 for right.
-        before: Further limbs of that side in families before this one. What the predictor calls the first leg of a
-            crab, or its last arm, is the same limb and should get the same handles.
-    """
-
-    columns: list[int]
-    legs: list[int]
-    parts: np.ndarray
-    members: np.ndarray
-    stands: list[bool]
-    side: int
+    columns: list[int]  # the handles
+    legs: list[int]  # those of the leg of that side
+    parts: np.ndarray  # what each of the handles weighs, shape (M, P)
+    members: np.ndarray  # how much each vertex is of each limb, shape (M, L)
+    stands: list[bool]  # which limbs stand on the ground
+    side: int  # 0 for left, 1 for right
+    # Further limbs of that side in families before this one. What the predictor calls the first leg of a crab, or its
+    # last arm, is the same limb and should get the same handles.
     before: int
 
     def slot(self, limb: int, part: int) -> int:
@@ -398,17 +382,11 @@ _SPARE_HANDLES = [
 
 @dataclass(frozen=True, eq=False)
 class Appendage:
-    """A part that stands out from a head.
+    """A part that stands out from a head."""
 
-    Args:
-        members: Its vertices, shape (m,).
-        root: How far from the body its root is, along the mesh.
-        tip: How far its tip is.
-    """
-
-    members: np.ndarray
-    root: float
-    tip: float
+    members: np.ndarray  # its vertices, shape (m,)
+    root: float  # how far from the body its root is, along the mesh
+    tip: float  # how far its tip is
 
     @property
     def length(self) -> float:

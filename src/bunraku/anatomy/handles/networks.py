@@ -19,26 +19,17 @@ _NEAR = 3  # anchors that each vertex listens to
 
 @dataclass
 class MeshGraph:
-    """A mesh as arrays, its vertices in order of falling degree: what is said of vertex i stands in row `position[i]`.
+    """A mesh as arrays, its vertices by falling degree: what is said of vertex i stands in row `position[i]`."""
 
-    Args:
-        inputs: Position and normal of each vertex, shape (V, 6).
-        areas: Share of the surface that each vertex stands for, shape (V,), sums to 1.
-        ranks: The n-th neighbours of the vertices that have so many; every vertex is its own first neighbour. Shapes
-            (V,), (V_1,), (V_2,) ...
-        position: Where each vertex is in that order, shape (V,).
-        spread: Weights from anchors to vertices, rows sum to 1, shape (V, M).
-        gather: Weights from vertices to anchors, rows sum to 1, shape (M, V).
-        anchors: Positions of the anchors, shape (M, 3).
-    """
-
-    inputs: np.ndarray
-    areas: np.ndarray
+    inputs: np.ndarray  # position and normal of each vertex, shape (V, 6)
+    areas: np.ndarray  # share of the surface that each vertex stands for, shape (V,), sums to 1
+    # The n-th neighbours of the vertices that have so many; every vertex is its own first neighbour. Shapes (V,),
+    # (V_1,), (V_2,) ...
     ranks: tuple[np.ndarray, ...]
-    position: np.ndarray
-    spread: csr_matrix
-    gather: csr_matrix
-    anchors: np.ndarray
+    position: np.ndarray  # where each vertex is in that order, shape (V,)
+    spread: csr_matrix  # weights from anchors to vertices, rows sum to 1, shape (V, M)
+    gather: csr_matrix  # weights from vertices to anchors, rows sum to 1, shape (M, V)
+    anchors: np.ndarray  # positions of the anchors, shape (M, 3)
 
     def mirrored(self) -> MeshGraph:
         """The mirror image in the plane x = 0, with the same vertices in the same order."""
@@ -155,38 +146,24 @@ LEAST_VERTICES = 100
 
 @dataclass(frozen=True)
 class PredictorConfig:
-    """Shape of the network.
+    """Shape of the network."""
 
-    Args:
-        levels: Channels of the three graph layers; their sum is the length of f_phi.
-        hidden: Channels inside the MLP.
-        handles: K.
-        heads: Attention heads among the anchors.
-        anchors: Anchors of the coarse term.
-        depth: Rounds in which the anchors of a layer pass messages to one another.
-        mesh_vertices: Most vertices of the network mesh it was trained on, for
-            `bunraku.core.geometry.simplify.network_mesh`.
-    """
-
+    # channels of the three graph layers; their sum is the length of f_phi
     levels: tuple[int, int, int] = (64, 128, 256)
-    hidden: tuple[int, int] = (256, 128)
-    handles: int = HANDLE_COUNT
-    heads: int = 4
-    anchors: int = 128
-    depth: int = 3
+    hidden: tuple[int, int] = (256, 128)  # channels inside the MLP
+    handles: int = HANDLE_COUNT  # K
+    heads: int = 4  # attention heads among the anchors
+    anchors: int = 128  # anchors of the coarse term
+    depth: int = 3  # rounds in which the anchors of a layer pass messages to one another
+    # most vertices of the network mesh it was trained on, for `bunraku.core.geometry.simplify.network_mesh`
     mesh_vertices: int = 2400
 
 
 class HandlePrediction(NamedTuple):
-    """What the predictor says of one mesh.
+    """What the predictor says of one mesh."""
 
-    Args:
-        weights: Skinning weights s, rows sum to 1, shape (V, K).
-        features: The mesh deformation feature f_phi, shape (448,).
-    """
-
-    weights: np.ndarray
-    features: np.ndarray
+    weights: np.ndarray  # skinning weights s, rows sum to 1, shape (V, K)
+    features: np.ndarray  # the mesh deformation feature f_phi, shape (448,)
 
 
 class _GraphLayer:
@@ -212,14 +189,11 @@ class _GraphLayer:
 
 
 class HandlePredictor:
-    """Three graph layers and a three-layer MLP with softmax (A.2).
+    """Three graph layers and a three-layer MLP with softmax (A.2). ValueError if the weights have other sizes.
 
     Args:
         config: Its shape.
         weights: Of a checkpoint.
-
-    Raises:
-        ValueError: The weights have other sizes.
     """
 
     def __init__(self, config: PredictorConfig, weights: Weights):
@@ -255,14 +229,11 @@ class HandlePredictor:
 
 
 def predictor_config(shape: dict[str, object]) -> PredictorConfig:
-    """The config of a predictor of a character's handles.
+    """The config of a predictor of a character's handles. OptionError if a value is missing, unknown, or no size that a
+    network has; ValueError if it is of other handles, or of meshes that have no room for them.
 
     Args:
         shape: As a checkpoint carries it.
-
-    Raises:
-        OptionError: A value is missing, unknown, or no size that a network has.
-        ValueError: It is of other handles, or of meshes that have no room for them.
     """
     config = config_of(PredictorConfig, shape)
     if config.handles != HANDLE_COUNT or config.mesh_vertices < LEAST_VERTICES or config.anchors < 1:
@@ -274,10 +245,8 @@ def predictor_config(shape: dict[str, object]) -> PredictorConfig:
 
 
 def load_predictor(path: str | Path) -> HandlePredictor:
-    """Read a checkpoint of kind "handles", ready to predict.
-
-    Raises:
-        WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
+    """Read a checkpoint of kind "handles", ready to predict. WeightsError if the file is missing, damaged, of another
+    kind, or its weights do not fit its config.
     """
     return load_network(
         path, "handles", lambda shape, weights: HandlePredictor(predictor_config(shape), weights), key="predictor"
@@ -290,21 +259,13 @@ TOKEN = 10
 
 @dataclass(frozen=True)
 class OrientationConfig:
-    """Shape of the network.
+    """Shape of the network."""
 
-    Args:
-        width: Channels.
-        layers: Transformer layers.
-        heads: Attention heads.
-        anchors: Tokens of a mesh, M.
-        temperature: Of the softmax over the 24 scores, fitted on characters that training did not see.
-    """
-
-    width: int = 64
-    layers: int = 3
-    heads: int = 4
-    anchors: int = 128
-    temperature: float = 1.0
+    width: int = 64  # channels
+    layers: int = 3  # transformer layers
+    heads: int = 4  # attention heads
+    anchors: int = 128  # tokens of a mesh, M
+    temperature: float = 1.0  # of the softmax over the 24 scores, fitted on characters that training did not see
 
 
 def shape_tokens(points: np.ndarray, normals: np.ndarray, areas: np.ndarray, anchors: int = 128) -> np.ndarray:
@@ -354,13 +315,11 @@ def turned_tokens(tokens: np.ndarray, rotations: np.ndarray) -> np.ndarray:
 
 class OrientationPredictor:
     """A transformer over the tokens of a mesh, and one number at its end: how upright and forward the mesh stands.
+    ValueError if the weights have other sizes.
 
     Args:
         config: Its shape.
         weights: Of a checkpoint.
-
-    Raises:
-        ValueError: The weights have other sizes.
     """
 
     def __init__(self, config: OrientationConfig, weights: Weights):
@@ -385,10 +344,8 @@ class OrientationPredictor:
 
 
 def load_orientation_predictor(path: str | Path) -> OrientationPredictor:
-    """Read a checkpoint of kind "orientation", ready to predict.
-
-    Raises:
-        WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
+    """Read a checkpoint of kind "orientation", ready to predict. WeightsError if the file is missing, damaged, of
+    another kind, or its weights do not fit its config.
     """
     return load_network(
         path,

@@ -185,16 +185,11 @@ def _allowed(up: str | None, front: str | None) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class ResolvedAxes:
-    """How a character is taken to stand.
+    """How a character is taken to stand."""
 
-    Args:
-        up: Its up axis, such as "+z".
-        front: The axis that it faces.
-        guess: What was guessed, whether or not it was followed; None where both axes were said.
-    """
-
-    up: str
-    front: str
+    up: str  # its up axis, such as "+z"
+    front: str  # the axis that it faces
+    # What was guessed, whether or not it was followed; None where both axes were said.
     guess: Orientation | None = None
 
     @property
@@ -212,17 +207,14 @@ def resolve_axes(
     character: Character, up: str = "auto", front: str = "auto", *, suffix: str | None = None
 ) -> ResolvedAxes:
     """How a character stands, from what is said here or else in the file beside its own, from its mesh, and from the
-    rule of its format.
+    rule of its format. OptionError if an axis is none of the six, or the two are not at a right angle; WeightsError if
+    the weights are missing or broken, and something is to be guessed.
 
     Args:
         character: Any character.
         up: The axis that is up in it, such as "+z", or "auto" to guess.
         front: The axis that it faces, or "auto" to guess.
         suffix: The format of its file, such as ".stl"; that of its source when not given.
-
-    Raises:
-        OptionError: An axis is none of the six, or the two are not at a right angle.
-        WeightsError: The weights are missing or broken, and something is to be guessed.
     """
     given = [None if axis.strip().lower() == "auto" else axis_name(axis) for axis in (up, front)]
     said = character.corrections

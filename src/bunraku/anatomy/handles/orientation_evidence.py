@@ -19,28 +19,20 @@ _AXIS_VECTORS = np.array([axis_vector(axis) for axis in AXES])
 
 @dataclass(frozen=True, eq=False)
 class ShapeView:
-    """What evidence is taken from, as the file has it.
+    """What evidence is taken from, as the file has it."""
 
-    Args:
-        vertices: Rest positions, any unit, shape (V, 3).
-        surface: Points and unit normals spread evenly over the surface, shape (N, 3) each.
-        paint: Faces (F, 3) and the colours of the vertices, sRGB, shape (V, 3), uint8.
-    """
-
-    vertices: np.ndarray | None = None
+    vertices: np.ndarray | None = None  # rest positions, any unit, shape (V, 3)
+    # points and unit normals spread evenly over the surface, shape (N, 3) each
     surface: tuple[np.ndarray, np.ndarray] | None = None
+    # faces (F, 3) and the colours of the vertices, sRGB, shape (V, 3), uint8
     paint: tuple[np.ndarray, np.ndarray] | None = None
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Something that tells how a shape stands.
+    """Something that tells how a shape stands."""
 
-    Args:
-        doubt: The chance that it knows nothing.
-    """
-
-    doubt: float
+    doubt: float  # the chance that it knows nothing
 
     def log_odds(self, view: ShapeView) -> np.ndarray:
         """Log-odds of `ORIENTATIONS`, up to a constant, shape (24,); zeros where the view lacks what it needs."""
@@ -64,26 +56,16 @@ def tempered(chances: np.ndarray, doubt: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class RestEvidence(Evidence):
-    """What a shape would rest on: bodies stand on flat and wide bases.
+    """What a shape would rest on: bodies stand on flat and wide bases."""
 
-    Args:
-        doubt: What lies on its back rests well too; at most 115 to 1 between two axes.
-        weights: Of the three numbers of `rest`: those of the least cross-entropy on 151 characters of the training
-            archive.
-        flat: How high over the lowest point what lies flat may be, as a share of the largest extent.
-        low: How high what carries may be, likewise.
-        down: Cosine from which on a normal points down.
-        edge: How softly the middle is inside what carries it, as a share of the largest extent.
-        least: Share of the surface that counts as nothing flat.
-    """
-
-    doubt: float = 0.05
+    doubt: float = 0.05  # what lies on its back rests well too; at most 115 to 1 between two axes
+    # of the three numbers of `rest`: those of the least cross-entropy on 151 characters of the training archive
     weights: tuple[float, float, float] = (0.20, 1.49, 5.87)
-    flat: float = 0.012
-    low: float = 0.025
-    down: float = -0.9
-    edge: float = 0.02
-    least: float = 2e-3
+    flat: float = 0.012  # how high over the lowest point what lies flat may be, as a share of the largest extent
+    low: float = 0.025  # how high what carries may be, likewise
+    down: float = -0.9  # cosine from which on a normal points down
+    edge: float = 0.02  # how softly the middle is inside what carries it, as a share of the largest extent
+    least: float = 2e-3  # share of the surface that counts as nothing flat
 
     def log_odds(self, view: ShapeView) -> np.ndarray:
         if view.surface is None:
@@ -118,22 +100,16 @@ class RestEvidence(Evidence):
 
 @dataclass(frozen=True)
 class ColorEvidence(Evidence):
-    """A front has more colours than a back.
+    """A front has more colours than a back."""
 
-    Args:
-        doubt: What is painted on a back may be richer than a face: at most 10 to 1 between two fronts.
-        weight: Of the log of `variety`. On every second character of the archive, of the 60 that have colours, the most
-            varied of four sides is the front for 70 % and the front is more varied than the back for 80 %; of the 19
-            files for priors that have colours, for 68 and 79 %. The cross-entropy of the four, where equal chances have
-            1.39, is 1.00 and 0.88.
-        plain: A variance of colours that is as good as none.
-        facing: Cosine from which on a face counts as seen, and more the straighter it looks.
-    """
-
-    doubt: float = 0.3
+    doubt: float = 0.3  # what is painted on a back may be richer than a face: at most 10 to 1 between two fronts
+    # Of the log of `variety`. On every second character of the archive, of the 60 that have colours, the most varied of
+    # four sides is the front for 70 % and the front is more varied than the back for 80 %; of the 19 files for priors
+    # that have colours, for 68 and 79 %. The cross-entropy of the four, where equal chances have 1.39, is 1.00 and
+    # 0.88.
     weight: float = 8.0
-    plain: float = 3e-3
-    facing: float = 0.3
+    plain: float = 3e-3  # a variance of colours that is as good as none
+    facing: float = 0.3  # cosine from which on a face counts as seen, and more the straighter it looks
 
     def log_odds(self, view: ShapeView) -> np.ndarray:
         if view.vertices is None or view.paint is None:
@@ -164,20 +140,14 @@ class ColorEvidence(Evidence):
 
 @dataclass(frozen=True)
 class GroundEvidence(Evidence):
-    """Many files have the ground at 0, below the middle of the body.
+    """Many files have the ground at 0, below the middle of the body."""
 
-    Args:
-        doubt: Of 151 characters of the training archive half stand on the plane through 0, and none has such a plane
-            on a wrong side; at most 195 to 1 for one axis against another.
-        weight: Of the fit.
-        low: How far from the lowest point the ground may be, as a share of the extent.
-        middle: How far from the middle the origin may be, likewise.
-    """
-
+    # of 151 characters of the training archive half stand on the plane through 0, and none has such a plane on a wrong
+    # side; at most 195 to 1 for one axis against another
     doubt: float = 0.03
-    weight: float = 10.0
-    low: float = 0.05
-    middle: float = 0.25
+    weight: float = 10.0  # of the fit
+    low: float = 0.05  # how far from the lowest point the ground may be, as a share of the extent
+    middle: float = 0.25  # how far from the middle the origin may be, likewise
 
     def log_odds(self, view: ShapeView) -> np.ndarray:
         if view.vertices is None:
@@ -203,26 +173,17 @@ class GroundEvidence(Evidence):
 
 @dataclass(frozen=True)
 class MirrorEvidence(Evidence):
-    """Left and right mirror each other.
+    """Left and right mirror each other."""
 
-    Args:
-        doubt: At most 298 to 1 between two planes.
-        power: The chance that a plane is the one between left and right goes with its asymmetry to the power of -10:
-            what is nearly symmetric across one plane alone has it for sure, and a lion in mid-step, whose planes differ
-            by a fifth, tells little. Fitted on the 37 files of `benchmarks/foreign_files.json` that are for it, where
-            it errs in 3.
-        floor: An asymmetry that is as good as 0.
-        asked: Vertices whose mirror images are looked for.
-        held: Vertices, evenly drawn from more, among which the nearest to a mirror image is looked for.
-        far: An asymmetry that is as large as any, as a share of the largest extent.
-    """
-
-    doubt: float = 0.01
+    doubt: float = 0.01  # at most 298 to 1 between two planes
+    # The chance that a plane is the one between left and right goes with its asymmetry to the power of -10: what is
+    # nearly symmetric across one plane alone has it for sure, and a lion in mid-step, whose planes differ by a fifth,
+    # tells little. Fitted on the 37 files of `benchmarks/foreign_files.json` that are for it, where it errs in 3.
     power: float = 10.0
-    floor: float = 1e-4
-    asked: int = 2000
-    held: int = 60_000
-    far: float = 0.05
+    floor: float = 1e-4  # an asymmetry that is as good as 0
+    asked: int = 2000  # vertices whose mirror images are looked for
+    held: int = 60_000  # vertices, evenly drawn from more, among which the nearest to a mirror image is looked for
+    far: float = 0.05  # an asymmetry that is as large as any, as a share of the largest extent
 
     def log_odds(self, view: ShapeView) -> np.ndarray:
         if view.vertices is None:
@@ -263,29 +224,23 @@ def gathered(view: ShapeView) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Combination:
-    """The network, the other evidence, what files of a kind are like, and the bones, put together.
+    """The network, the other evidence, what files of a kind are like, and the bones, put together."""
 
-    Args:
-        network_doubt: Where the network says 97 % or more it is right for 93 % of 180 meshes that training did not see.
-        bones_doubt: The chance that bones tell nothing; chosen.
-        mirrored: The chance that left and right are named the other way, so that what seems the front is the back: of
-            114 rigs of the archive whose bones tell, two; between that and 0.5 %, which has the least cross-entropy on
-            the files of `benchmarks/walks_57.md`.
-        calibration: What the log-odds are divided by, since they are not quite independent: fitted to the least
-            cross-entropy on the 37 files of `benchmarks/foreign_files.json` that are for it.
-        few: A shape of so many vertices has told half of what it could: of 60 characters of the archive, simplified,
-            the network is right for 82 % at 1,000 vertices, 77 % at 106, 50 % at 31 and 25 % at 15, and its log-odds
-            have the least cross-entropy times 1, 1, 0.8 and 0.35; those of the mirror plane likewise, times 1, 1, 0.45
-            and 0.35.
-        looked_at: Vertices among which those at one position count once.
-    """
-
+    # where the network says 97 % or more it is right for 93 % of 180 meshes that training did not see
     network_doubt: float = 0.05
-    bones_doubt: float = 0.03
+    bones_doubt: float = 0.03  # the chance that bones tell nothing; chosen
+    # the chance that left and right are named the other way, so that what seems the front is the back: of 114 rigs of
+    # the archive whose bones tell, two; between that and 0.5 %, which has the least cross-entropy on the files of
+    # `benchmarks/walks_57.md`
     mirrored: float = 0.01
+    # what the log-odds are divided by, since they are not quite independent: fitted to the least cross-entropy on the
+    # 37 files of `benchmarks/foreign_files.json` that are for it
     calibration: float = 1.1
+    # a shape of so many vertices has told half of what it could: of 60 characters of the archive, simplified, the
+    # network is right for 82 % at 1,000 vertices, 77 % at 106, 50 % at 31 and 25 % at 15, and its log-odds have the
+    # least cross-entropy times 1, 1, 0.8 and 0.35; those of the mirror plane likewise, times 1, 1, 0.45 and 0.35
     few: int = 12
-    looked_at: int = 2000
+    looked_at: int = 2000  # vertices among which those at one position count once
 
     def worth(self, vertices: np.ndarray) -> float:
         """What share of its word the evidence of a shape with these vertices (V, 3) deserves."""

@@ -104,15 +104,12 @@ def predict_handles(character: Character, checkpoint: str | Path | None = None) 
     one position get equal weights. Handle positions are weighted means by surface area, in the form of Eq. 4; loose
     parts count as the network sees them, not as they are bound, for a pivot belongs where the joint is. A handle
     without a surface stands where its parent stands. A file of rigid blocks has the handles of these
-    (`handles.blocks`).
+    (`handles.blocks`). CharacterError if the mesh has no surface; WeightsError if the checkpoint is missing or does not
+    fit.
 
     Args:
         character: Any mesh, +Y up and facing +Z; a rig it may have is not looked at, but for one that bends nothing.
         checkpoint: Weights of kind "handles"; the shipped ones when not given.
-
-    Raises:
-        CharacterError: The mesh has no surface.
-        WeightsError: The checkpoint is missing or does not fit.
     """
     model = _load(checkpoint)
     mesh, *others = network_views(character.vertices, character.body_faces, model.config.mesh_vertices, offsets=VIEWS)
@@ -147,13 +144,9 @@ def mesh_feature(character: Character, checkpoint: str | Path | None = None) -> 
 
 @dataclass(frozen=True)
 class Predictor:
-    """Gives the handles of characters.
+    """Gives the handles of characters."""
 
-    Args:
-        checkpoint: Weights of kind "handles"; the shipped ones when not given.
-    """
-
-    checkpoint: str | Path | None = None
+    checkpoint: str | Path | None = None  # weights of kind "handles"; the shipped ones when not given
 
     def __call__(self, character: Character) -> Handles:
         """The handles of a character (see `predict_handles`)."""

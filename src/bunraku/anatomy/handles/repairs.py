@@ -28,15 +28,10 @@ _SUBTREES = [[other for other, line in enumerate(_LINES) if handle in line] for 
 
 @dataclass(frozen=True, eq=False)
 class Patient:
-    """What repairs see of a body beside its weights.
+    """What repairs see of a body beside its weights."""
 
-    Args:
-        mesh: The network mesh, M vertices.
-        touch: Loose parts nearer than this touch, in cells; chosen by eye.
-    """
-
-    mesh: NetworkMesh
-    touch: float = 1.5
+    mesh: NetworkMesh  # the network mesh, M vertices
+    touch: float = 1.5  # loose parts nearer than this touch, in cells; chosen by eye
 
     @cached_property
     def areas(self) -> np.ndarray:
@@ -70,18 +65,13 @@ class JoinRegions(Repair):
 
     What lies apart from a leg and hangs behind the hips in the middle of the body is a tail, and gets the tail's
     handles where they hold nothing yet. All thresholds were chosen by eye.
-
-    Args:
-        held: A vertex belongs to the region of a handle that holds more of it.
-        apart: Least distance of a stray region from the main one, as a share of the extent; fingers are nearer.
-        lesser: A region apart is stray if it is smaller than this share of the main one.
-        least_tail: Share of the surface from which what hangs behind the hips is a tail, and not a flap.
     """
 
-    held: float = 0.35
+    held: float = 0.35  # a vertex belongs to the region of a handle that holds more of it
+    # least distance of a stray region from the main one, as a share of the extent; fingers are nearer
     apart: float = 0.06
-    lesser: float = 0.5
-    least_tail: float = 0.004
+    lesser: float = 0.5  # a region apart is stray if it is smaller than this share of the main one
+    least_tail: float = 0.004  # share of the surface from which what hangs behind the hips is a tail, and not a flap
 
     def __call__(self, body: Patient, weights: np.ndarray) -> np.ndarray:
         out, mesh, areas = np.array(weights, np.float64), body.mesh, body.areas
@@ -145,18 +135,12 @@ class SoftenTornEdges(Repair):
 
     Only vertices of such edges change, and, where that is not enough, those around them; bridges between loose parts
     are no edges.
-
-    Args:
-        angle: How far a limb is rotated in walks [rad].
-        most: Share of its length by which an edge may grow in such a rotation; chosen by eye.
-        rounds: Of softening, at the most.
-        sharp: Share of the surface under which two parts do not blend where they meet; chosen by eye.
     """
 
-    angle: float = float(np.radians(60))
-    most: float = 2.0
-    rounds: int = 16
-    sharp: float = 1e-4
+    angle: float = float(np.radians(60))  # how far a limb is rotated in walks [rad]
+    most: float = 2.0  # share of its length by which an edge may grow in such a rotation; chosen by eye
+    rounds: int = 16  # of softening, at the most
+    sharp: float = 1e-4  # share of the surface under which two parts do not blend where they meet; chosen by eye
 
     def __call__(self, body: Patient, weights: np.ndarray) -> np.ndarray:
         mesh = body.mesh
@@ -213,24 +197,15 @@ def repaired(mesh: NetworkMesh, weights: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class LooseParts:
-    """The loose parts of a mesh.
+    """The loose parts of a mesh."""
 
-    Args:
-        label: Part of each point of the mesh's surface (`NetworkMesh.surface`), shape (S,).
-        extent: Largest extent of each part, as a share of the character's, shape (P,).
-        areas: Surface of each part, shape (P,).
-        cover: Share of its surface with which each small part lies on the larger ones; 0 of those that are not small,
-            shape (P,).
-        gap: Distance of each point of a small part to the larger parts, infinite elsewhere, shape (S,).
-        host: The point of a larger part nearest to each point of a small part, -1 elsewhere, shape (S,).
-    """
-
-    label: np.ndarray
-    extent: np.ndarray
-    areas: np.ndarray
+    label: np.ndarray  # part of each point of the mesh's surface (`NetworkMesh.surface`), shape (S,)
+    extent: np.ndarray  # largest extent of each part, as a share of the character's, shape (P,)
+    areas: np.ndarray  # surface of each part, shape (P,)
+    # share of its surface with which each small part lies on the larger ones; 0 of those that are not small, shape (P,)
     cover: np.ndarray
-    gap: np.ndarray
-    host: np.ndarray
+    gap: np.ndarray  # distance of each point of a small part to the larger parts, infinite elsewhere, shape (S,)
+    host: np.ndarray  # the point of a larger part nearest to each point of a small part, -1 elsewhere, shape (S,)
 
 
 @dataclass(frozen=True)
@@ -241,32 +216,22 @@ class SeatParts:
     on none, as the head of a robot does, takes the mean of its own where one handle clearly holds it, and the head's
     where head, hair and face hold it together; small ones follow what they touch. Rows are sharpened. All thresholds
     were chosen by eye; lengths are shares of the character's extent.
-
-    Args:
-        small: Largest extent of a part that can sit on another.
-        piece: Share of the surface from which a part is no longer small, however short: the shoulder plates of a robot.
-        reach: A point nearer than this to a larger part lies on it.
-        cover: Share of its surface with which a part must lie on the larger one to sit there.
-        near: How sharply the nearest points of the larger part are preferred.
-        stiff: Largest extent of a part that sits nowhere and yet moves as a whole.
-        clear: Share of such a part that one handle must hold, from which on it counts and from which on wholly; others
-            reach over a joint, as a sleeve does.
-        power: Of a part's row: blends of handles that move apart would shear the part, and rigs mostly bind it to one
-            bone.
-        touches: Parts nearer than this touch.
-        tiny: Share of the surface under which a piece is not a limb, however sure its handle is.
     """
 
-    small: float = 0.13
+    small: float = 0.13  # largest extent of a part that can sit on another
+    # share of the surface from which a part is no longer small, however short: the shoulder plates of a robot
     piece: float = 0.03
-    reach: float = 0.025
-    cover: float = 0.8
-    near: float = 0.01
-    stiff: float = 0.35
+    reach: float = 0.025  # a point nearer than this to a larger part lies on it
+    cover: float = 0.8  # share of its surface with which a part must lie on the larger one to sit there
+    near: float = 0.01  # how sharply the nearest points of the larger part are preferred
+    stiff: float = 0.35  # largest extent of a part that sits nowhere and yet moves as a whole
+    # share of such a part that one handle must hold, from which on it counts and from which on wholly; others reach
+    # over a joint, as a sleeve does
     clear: tuple[float, float] = (0.6, 0.8)
+    # of a part's row: blends of handles that move apart would shear the part, and rigs mostly bind it to one bone
     power: int = 3
-    touches: float = 0.012
-    tiny: float = 0.008
+    touches: float = 0.012  # parts nearer than this touch
+    tiny: float = 0.008  # share of the surface under which a piece is not a limb, however sure its handle is
 
     def loose_parts(self, mesh: NetworkMesh) -> LooseParts:
         """The loose parts of the surface that a network mesh stands for, and how the small ones lie on the large."""
@@ -382,25 +347,15 @@ class SeatParts:
 
 @dataclass(frozen=True, eq=False)
 class _Seating:
-    """Loose parts on their way to a row of weights each.
+    """Loose parts on their way to a row of weights each."""
 
-    Args:
-        mesh: The network mesh.
-        weights: Of its vertices, shape (M, K).
-        parts: Its loose parts.
-        sits: Which of them sit on another, shape (P,), bool.
-        own: Mean weights of the parts that may move as a whole, shape (P, K); zero of others.
-        rows: The row of each part, shape (P, K), changed in place.
-        share: How much of it each part takes, shape (P,), changed in place.
-    """
-
-    mesh: NetworkMesh
-    weights: np.ndarray
-    parts: LooseParts
-    sits: np.ndarray
-    own: np.ndarray
-    rows: np.ndarray
-    share: np.ndarray
+    mesh: NetworkMesh  # the network mesh
+    weights: np.ndarray  # of its vertices, shape (M, K)
+    parts: LooseParts  # its loose parts
+    sits: np.ndarray  # which of them sit on another, shape (P,), bool
+    own: np.ndarray  # mean weights of the parts that may move as a whole, shape (P, K); zero of others
+    rows: np.ndarray  # the row of each part, shape (P, K), changed in place
+    share: np.ndarray  # how much of it each part takes, shape (P,), changed in place
 
     def seat(self, piece: int, row: np.ndarray) -> None:
         """Give a piece a row, wholly."""

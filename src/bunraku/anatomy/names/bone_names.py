@@ -477,14 +477,12 @@ def resolve_joints(handles: np.ndarray, parents: np.ndarray) -> np.ndarray:
 
 
 def rig_handles(character: Character, least: int = 2) -> Handles:
-    """Handles of a rigged character from its own bones: the weights of all bones of a part added up.
+    """Handles of a rigged character from its own bones: the weights of all bones of a part added up. CharacterError if
+    it has no rig, or its bones have no names that tell which part they move.
 
     Args:
         character: With a rig; +Y up and facing +Z.
         least: How many of the 30 parts the bones' names must tell at the least.
-
-    Raises:
-        CharacterError: It has no rig, or its bones have no names that tell which part they move.
     """
     rig = character.rig
     if rig is None:

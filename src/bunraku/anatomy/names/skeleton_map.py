@@ -20,17 +20,12 @@ _J = {name: index for index, name in enumerate(JOINT_NAMES)}
 
 @dataclass(frozen=True)
 class SkeletonMap:
-    """Joints of a skeleton by SMPL's names.
+    """Joints of a skeleton by SMPL's names."""
 
-    Args:
-        joints: Index of the joint of each of SMPL's 22, -1 where there is none.
-        how: What each was found by: "given", "name", "rig", "hierarchy" or "structure"; "" where there is none.
-        convention: Name of the program or data whose names these are, as far as that is plain; "" otherwise.
-    """
-
-    joints: tuple[int, ...]
+    joints: tuple[int, ...]  # index of the joint of each of SMPL's 22, -1 where there is none
+    # what each was found by: "given", "name", "rig", "hierarchy" or "structure"; "" where there is none
     how: tuple[str, ...]
-    convention: str = ""
+    convention: str = ""  # name of the program or data whose names these are, as far as that is plain; "" otherwise
 
     def of(self, name: str) -> int:
         """Index of the joint for one of SMPL's names, -1 for none."""
@@ -244,14 +239,12 @@ _CONVENTIONS: tuple[tuple[str, str], ...] = (
 
 
 def map_skeleton(skeleton: Skeleton, names: Mapping[str, str] | None = None) -> SkeletonMap:
-    """The joints of a skeleton that play SMPL's parts.
+    """The joints of a skeleton that play SMPL's parts. MotionError if a given name is unknown, or no pelvis and legs
+    are found.
 
     Args:
         skeleton: Any, of something with a pelvis and two legs.
         names: Joints to take whatever the rules say: the skeleton's name by SMPL's; "" for none.
-
-    Raises:
-        MotionError: A given name is unknown, or no pelvis and legs are found.
     """
     if not names:
         standard = mmd_skeleton_map(skeleton.names)

@@ -34,7 +34,7 @@ _TURNED_FOOT = np.cos(np.radians(50))  # a foot that points farther off than thi
 
 
 def to_smpl(motion: SkeletalMotion, skeleton_map: SkeletonMap | None = None) -> SkeletalMotion:
-    """The motion of SMPL's 22 joints that moves like another skeleton.
+    """The motion of SMPL's 22 joints that moves like another skeleton. MotionError if no pelvis and legs are found.
 
     Args:
         motion: Of any skeleton, +Y up [m].
@@ -43,9 +43,6 @@ def to_smpl(motion: SkeletalMotion, skeleton_map: SkeletonMap | None = None) -> 
     Returns:
         The same frames: local rotations that are identities in the reference body's T-pose, and a skeleton in that pose
         with the source's bone lengths. Joints that the source lacks stay straight.
-
-    Raises:
-        MotionError: No pelvis and legs are found.
     """
     mapped = skeleton_map or map_skeleton(motion.skeleton)
     world, positions = motion.world()

@@ -34,17 +34,11 @@ STEEP = 0.3
 
 @dataclass(frozen=True)
 class LegBalls:
-    """Legs as rows of balls. All fields were chosen by eye.
+    """Legs as rows of balls. All fields were chosen by eye."""
 
-    Args:
-        samples: Balls of a thigh, and of a shin.
-        thick: Radius of a leg without skin that shows it, over the size [m].
-        gap: How far apparel stays off a leg, over the size [m].
-    """
-
-    samples: int = 8
-    thick: float = 0.045
-    gap: float = 0.012
+    samples: int = 8  # balls of a thigh, and of a shin
+    thick: float = 0.045  # radius of a leg without skin that shows it, over the size [m]
+    gap: float = 0.012  # how far apparel stays off a leg, over the size [m]
 
     def __call__(
         self, affine: np.ndarray, clothed: ClothedCharacter, bones: np.ndarray
@@ -72,41 +66,26 @@ class LegBalls:
 
 @dataclass(frozen=True)
 class PushOutOfBody:
-    """Links lie on the body and not in it, and neighbours go along. All fields were chosen by eye.
+    """Links lie on the body and not in it, and neighbours go along. All fields were chosen by eye."""
 
-    Args:
-        legs: The legs that skirts must lie over.
-        each: Points of a link that are looked at.
-        points: Points of the body.
-        passes: How often links are rotated.
-        shared: Passes after which what links were rotated is shared with their neighbours: after two of them alone,
-            hair in layers and the skirt of a lifted knee are torn.
-        rounds: How often, each time.
-        most: Points deeper than this are on the wrong side of something thin and stay, over the size [m].
-        clear: How near the body points may come that were farther off at rest, over the size [m]; those that were
-            nearer, or deeper, come no nearer and no deeper than that. At 0.004 hair in layers is torn.
-        farthest: A link rotates no farther in one pass [rad].
-        firm: Links rotate little for points that are nearer to their beginning, over the size [m].
-        stays: Weight of a point that is outside, against one that is in the body.
-        smooth: Standard deviation of the rotations in time [s].
-        deepest: A leg that is farther beyond a point of a skirt does not push it, over the size [m].
-        about: A point of a skirt stands for no more than what lies so far about it, over the size [m].
-    """
-
-    legs: LegBalls = LegBalls()
-    each: int = 20
-    points: int = 3000
-    passes: int = 9
+    legs: LegBalls = LegBalls()  # the legs that skirts must lie over
+    each: int = 20  # points of a link that are looked at
+    points: int = 3000  # points of the body
+    passes: int = 9  # how often links are rotated
+    # passes after which what links were rotated is shared with their neighbours: after two of them alone, hair in
+    # layers and the skirt of a lifted knee are torn
     shared: tuple[int, ...] = (1, 3, 5, 7)
-    rounds: int = 3
-    most: float = 0.12
+    rounds: int = 3  # how often, each time
+    most: float = 0.12  # points deeper than this are on the wrong side of something thin and stay, over the size [m]
+    # How near the body points may come that were farther off at rest, over the size [m]; those that were nearer, or
+    # deeper, come no nearer and no deeper than that. At 0.004 hair in layers is torn.
     clear: float = -0.002
-    farthest: float = 0.35
-    firm: float = 0.01
-    stays: float = 0.02
-    smooth: float = 0.05
-    deepest: float = 0.2
-    about: float = 0.06
+    farthest: float = 0.35  # a link rotates no farther in one pass [rad]
+    firm: float = 0.01  # links rotate little for points that are nearer to their beginning, over the size [m]
+    stays: float = 0.02  # weight of a point that is outside, against one that is in the body
+    smooth: float = 0.05  # standard deviation of the rotations in time [s]
+    deepest: float = 0.2  # a leg that is farther beyond a point of a skirt does not push it, over the size [m]
+    about: float = 0.06  # a point of a skirt stands for no more than what lies so far about it, over the size [m]
 
     def __call__(self, animation: RigAnimation, dressed: DressedChains) -> RigAnimation:
         """The animation with its links out of the body."""

@@ -58,19 +58,12 @@ _PARAMETERS = {
 
 @dataclass(frozen=True)
 class LaidShape:
-    """What is seen of a chain at rest that is laid over a shape.
+    """What is seen of a chain at rest that is laid over a shape."""
 
-    Args:
-        length: Along it, over the size of the character.
-        slim: Its length over its width; infinite for a sheet.
-        gap: How far it is from the body on the mean, over the size of the character.
-        down: Cosine of its direction and down: 1 where it hangs, 0 level, -1 where it stands.
-    """
-
-    length: float
-    slim: float
-    gap: float
-    down: float
+    length: float  # along it, over the size of the character
+    slim: float  # its length over its width; infinite for a sheet
+    gap: float  # how far it is from the body on the mean, over the size of the character
+    down: float  # cosine of its direction and down: 1 where it hangs, 0 level, -1 where it stands
 
     @property
     def loose(self) -> float:
@@ -143,9 +136,7 @@ _BOUNDS = {"limit": (0.0, 90.0), "stiffness": (0.0, 1000.0), "damping": (0.0, 0.
 
 def parameters_beside(character: Character) -> dict[str, dict[str, float]]:
     """Parameters from the file beside a character's, by kinds and names of chains; empty where there is none.
-
-    Raises:
-        FormatError: It is broken, or has an unknown entry.
+    FormatError if it is broken, or has an unknown entry.
     """
     path = file_beside(character, (SUFFIX,))
     return {} if path is None else _read(path)
@@ -173,14 +164,11 @@ def parameters_from_file(kind: str, name: str, tables: Mapping[str, Mapping[str,
 
 def write_parameters(chains: Sequence[Mapping[str, Any]], path: Path) -> None:
     """Write a file of parameters to start from: a table for each chain, in which every guess is a comment, so that it
-    changes nothing until a user removes the sign.
+    changes nothing until a user removes the sign. FormatError if it cannot be written.
 
     Args:
         chains: Name, kind, links, what it hangs on (`hangs_on`), and the parameters of each.
         path: The file.
-
-    Raises:
-        FormatError: It cannot be written.
     """
     lines = ["# How apparel swings. Remove the sign # before a number that you change."]
     for chain in chains:

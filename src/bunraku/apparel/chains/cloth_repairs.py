@@ -46,17 +46,12 @@ class ChainRepair(Protocol):
 
 @dataclass(frozen=True)
 class SmoothNeighbours:
-    """Neighbouring chains rotate alike. All fields were chosen by eye.
+    """Neighbouring chains rotate alike. All fields were chosen by eye."""
 
-    Args:
-        alike: Weight of a neighbour by its kind; a link itself has the weight 1.
-        others: Weight of neighbours of other kinds.
-        passes: How often neighbours are averaged.
-    """
-
+    # weight of a neighbour by its kind; a link itself has the weight 1
     alike: tuple[tuple[str, float], ...] = (("hair", 3.0), ("cape", 2.0), ("skirt", 0.7))
-    others: float = 1.0
-    passes: int = 3
+    others: float = 1.0  # weight of neighbours of other kinds
+    passes: int = 3  # how often neighbours are averaged
 
     def __call__(self, animation: RigAnimation, dressed: DressedChains) -> RigAnimation:
         """The animation with smooth rotations."""
@@ -112,30 +107,21 @@ def averaged_turns(turns: Sequence[np.ndarray], pairs: Sequence[tuple[int, int, 
 
 @dataclass(frozen=True)
 class MendTears:
-    """Torn areas of apparel go over to the skin of the body, and the chains of their parts swing less.
+    """Torn areas of apparel go over to the skin of the body, and the chains of their parts swing less."""
 
-    Args:
-        frames: Frames that are looked at; chosen.
-        longest, shortest: An edge that is longer or shorter, over its length at rest, is stretched or folded; chosen.
-        most: Share of a part's edges, over all frames, that may be stretched or folded more often than the body alone
-            does it. What the part network finds on people of the wardrobe has 0.003 at the most; what looked
-            torn on generated meshes had 0.05 to 0.28.
-        spare: Edges shorter than this share of the median are not looked at; chosen.
-        often: Share of the frames from which on a torn edge makes a torn area; chosen.
-        reach: Distance from a torn area at which apparel moves freely again, over the size [m]; chosen.
-        attempts: How often torn areas are mended; from the second time on their chains also swing less.
-        damping: Share of the rotations that is left of such chains; chosen.
-    """
-
-    frames: int = 24
+    frames: int = 24  # frames that are looked at; chosen
+    # longest, shortest: an edge that is longer or shorter, over its length at rest, is stretched or folded; chosen
     longest: float = 1.6
     shortest: float = 0.5
+    # Share of a part's edges, over all frames, that may be stretched or folded more often than the body alone does it.
+    # What the part network finds on people of the wardrobe has 0.003 at the most; what looked torn on generated meshes
+    # had 0.05 to 0.28.
     most: float = 0.02
-    spare: float = 0.25
-    often: float = 0.08
-    reach: float = 0.08
-    attempts: int = 3
-    damping: float = 0.5
+    spare: float = 0.25  # edges shorter than this share of the median are not looked at; chosen
+    often: float = 0.08  # share of the frames from which on a torn edge makes a torn area; chosen
+    reach: float = 0.08  # distance from a torn area at which apparel moves freely again, over the size [m]; chosen
+    attempts: int = 3  # how often torn areas are mended; from the second time on their chains also swing less
+    damping: float = 0.5  # share of the rotations that is left of such chains; chosen
 
     def __call__(
         self, animation: RigAnimation, plain: Animation | RigAnimation, dressed: DressedChains

@@ -108,10 +108,7 @@ def apparel_bones(character: Character, parts: RigParts | None = None) -> dict[i
 
 def bone_chains(character: Character, stiffness: float = 1.0, gravity: float = 1.0) -> list[Chain]:
     """The chains of a person's rig, each after the one that it branches off from, with factors on stiffness and
-    gravity.
-
-    Raises:
-        FormatError: The file of parameters beside the character's is broken.
+    gravity. FormatError if the file of parameters beside the character's is broken.
     """
     rig = character.rig
     kinds = apparel_bones(character)

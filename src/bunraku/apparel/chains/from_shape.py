@@ -60,9 +60,7 @@ class _Column:
 
 def shape_chains(clothed: ClothedCharacter) -> LaidChains:
     """Chains over the apparel of a character whose parts hang on one joint each, and what of it they hold.
-
-    Raises:
-        CharacterError: The mesh is broken.
+    CharacterError if the mesh is broken.
     """
     pieces, index = pieces_of(clothed)
     size = clothed.scale
@@ -247,9 +245,7 @@ def with_parts_from_file(clothed: ClothedCharacter, tables: Mapping[str, Mapping
 
     A part gets the mean of the parameters of the chains over it, by how much they hold. Where each vertex has a
     `swing`, those that a chain holds swing as far in all as its links together. Masses do not count here.
-
-    Raises:
-        CharacterError: The mesh is broken.
+    CharacterError if the mesh is broken.
     """
     if not tables:
         return clothed

@@ -25,10 +25,7 @@ _log = logging.getLogger(__name__)
 
 def moving_rig(character: Character, stiffness: float = 1.0, gravity: float = 1.0) -> ApparelRig | None:
     """What physics move of a character: what its file says, or else the bones of its hair and clothes; None for
-    neither.
-
-    Raises:
-        FormatError: The nodes of its file are broken.
+    neither. FormatError if the nodes of its file are broken.
     """
     if character.rig is None:
         return None
@@ -93,11 +90,8 @@ def _stiffer(rig: ApparelRig, names: set[str]) -> ApparelRig:
 
 
 def check_apparel(character: Character) -> None:
-    """Check that there is apparel to simulate.
-
-    Raises:
-        CharacterError: Its file says nothing of physics, and it has no bones of hair or clothes.
-        FormatError: The nodes of the file are broken.
+    """Check that there is apparel to simulate. CharacterError if its file says nothing of physics, and it has no bones
+    of hair or clothes; FormatError if the nodes of the file are broken.
     """
     if moving_rig(character) is None:
         raise CharacterError(
@@ -110,9 +104,7 @@ def with_apparel(
     animation: Animation | RigAnimation, progress: Progress | None = None, stiffness: float = 1.0, gravity: float = 1.0
 ) -> RigAnimation:
     """The animation of bones with its apparel simulated, with factors on stiffness and gravity; problems are logged.
-
-    Raises:
-        CharacterError: There is no physics in its file and there are no bones to simulate, or it is moved by handles.
+    CharacterError if there is no physics in its file and there are no bones to simulate, or it is moved by handles.
     """
     character = animation.character
     check_apparel(character)

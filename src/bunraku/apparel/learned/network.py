@@ -29,19 +29,13 @@ SET = 7  # outputs of the recurrent part for a node
 
 @dataclass(frozen=True)
 class DisplacementConfig:
-    """Shape of the network.
+    """Shape of the network."""
 
-    Args:
-        width: Channels of the head.
-        blocks: Its edge convolutions.
-        recurrent: Channels of the recurrent part, 0 for the head alone.
-        frame: "joint" remembers the difference from the head in the frame of the carrying joint; "world" is the paper's
-            Eq. 11 as it stands, positions in the world from the pelvis, without the head.
-    """
-
-    width: int = 96
-    blocks: int = 2
-    recurrent: int = 64
+    width: int = 96  # channels of the head
+    blocks: int = 2  # its edge convolutions
+    recurrent: int = 64  # channels of the recurrent part, 0 for the head alone
+    # "joint" remembers the difference from the head in the frame of the carrying joint; "world" is the paper's Eq. 11
+    # as it stands, positions in the world from the pelvis, without the head
     frame: Literal["joint", "world"] = "joint"
 
 
@@ -64,10 +58,8 @@ class DisplacementPart:
 
 
 class DisplacementNetwork:
-    """The head that cannot drift, and the recurrent part about it.
-
-    Raises:
-        ValueError: The weights have other sizes than the config.
+    """The head that cannot drift, and the recurrent part about it. ValueError if the weights have other sizes than the
+    config.
     """
 
     def __init__(self, config: DisplacementConfig, weights: Weights):
@@ -82,10 +74,8 @@ class DisplacementNetwork:
 
 
 def load_displacement(path: str | Path) -> DisplacementNetwork:
-    """Read a checkpoint of kind "apparel", ready to use.
-
-    Raises:
-        WeightsError: The file is missing, damaged, of another kind, or its weights do not fit its config.
+    """Read a checkpoint of kind "apparel", ready to use. WeightsError if the file is missing, damaged, of another kind,
+    or its weights do not fit its config.
     """
     return load_network(
         path, "apparel", lambda shape, weights: DisplacementNetwork(config_of(DisplacementConfig, shape), weights)

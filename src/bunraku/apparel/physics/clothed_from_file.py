@@ -276,10 +276,7 @@ def part_springs(character: Character, rig: ApparelRig, parts: np.ndarray) -> Pa
 
 def clothed_from_file(character: Character, body: UnifiedBody | None = None, dial: float = 1.0) -> ClothedCharacter:
     """A person with the apparel of its file, and a factor on its stiffness; `body` are its joints, where they are
-    known.
-
-    Raises:
-        CharacterError: The rig is not that of a person, or the file says nothing of physics.
+    known. CharacterError if the rig is not that of a person, or the file says nothing of physics.
     """
     body = body or UnifiedBody.of(character)
     rig, mask = apparel_rig(character), apparel_mask(character)

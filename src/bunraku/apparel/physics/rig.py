@@ -14,18 +14,12 @@ from bunraku.errors import MissingExtraError, OptionError
 
 @dataclass(frozen=True, eq=False)
 class ApparelRig:
-    """Rigid bodies and the joints between them.
+    """Rigid bodies and the joints between them."""
 
-    Args:
-        bodies: The bodies; `MmdBody.bone` is the index of a rig joint, -1 for none.
-        joints: The joints, by indices of bodies.
-        notes: What of the file was left out or repaired, a sentence each.
-        gravity: Acceleration of each body in place of the world's gravity [m/s^2], shape (B, 3); None for the world's.
-    """
-
-    bodies: tuple[MmdBody, ...]
-    joints: tuple[MmdJoint, ...]
-    notes: tuple[str, ...] = ()
+    bodies: tuple[MmdBody, ...]  # The bodies; `MmdBody.bone` is the index of a rig joint, -1 for none.
+    joints: tuple[MmdJoint, ...]  # the joints, by indices of bodies
+    notes: tuple[str, ...] = ()  # what of the file was left out or repaired, a sentence each
+    # Acceleration of each body in place of the world's gravity [m/s^2], shape (B, 3); None for the world's.
     gravity: np.ndarray | None = None
 
     @property
@@ -45,58 +39,37 @@ class ApparelRig:
 
 
 def check_engine(purpose: str) -> None:
-    """Check that MuJoCo is installed; `purpose` is how the message begins.
-
-    Raises:
-        MissingExtraError: It is not.
-    """
+    """Check that MuJoCo is installed; `purpose` is how the message begins. MissingExtraError if it is not."""
     if find_spec("mujoco") is None:
         raise MissingExtraError("mujoco-core", "physics", purpose)
 
 
 @dataclass(frozen=True)
 class PhysicsSettings:
-    """How a character's bodies become a world, and what counts as flying away.
-
-    Args:
-        gravity: Downwards [m/s^2]; MMD's 98 units a second squared by default.
-        step: Longest time step [s].
-        air: The largest rate at which bodies lose speed against the air [1/s]; more in a file is friction in the
-            joints.
-        wind: Resistance of the air over a body's mass and speed, by the speed beyond `calm` [1/m]: loose hair of MMD
-            stood above the head in a spin of two turns a second without it.
-        calm: Speed up to which the air resists as `air` says [m/s]; walks and dances are hardly faster.
-        most_rate: The largest rate at which bodies lose speed at all [1/s].
-        least_ratio: Least damping of every joint, as a share of the critical one.
-        fastest: Springs swing at most this fast [rad/s].
-        loop_time: Time in which a joint that closes a loop pulls its bodies together [s].
-        limbs: Whether the body's mesh is a collider, bone by bone (`body_limbs`), for all apparel; None for apparel
-            that no collider of the file meets.
-        nearby: Apparel collides with those limbs that are nearer than this at rest [m].
-        most_speed: A body that moves faster against its anchor has flown away [m/s].
-        most_turn: Joints rotate at most this fast [rad/s].
-        patience: A body that would rotate faster for longer than this has flown away [s].
-        cut: A bone that is faster than this has jumped, and takes its apparel with it [m/s].
-
-    Raises:
-        OptionError: A value is negative or no number, or the time step is not from 0.1 to 20 ms.
+    """How a character's bodies become a world, and what counts as flying away. OptionError if a value is negative or no
+    number, or the time step is not from 0.1 to 20 ms.
     """
 
-    gravity: float = 98 * MMD_METRE
-    step: float = 1 / 240
+    gravity: float = 98 * MMD_METRE  # Downwards [m/s^2]; MMD's 98 units a second squared by default.
+    step: float = 1 / 240  # longest time step [s]
+    # the largest rate at which bodies lose speed against the air [1/s]; more in a file is friction in the joints
     air: float = 1.5
+    # resistance of the air over a body's mass and speed, by the speed beyond `calm` [1/m]: loose hair of MMD stood
+    # above the head in a spin of two turns a second without it
     wind: float = 2.0
-    calm: float = 2.5
-    most_rate: float = 30.0
-    least_ratio: float = 0.15
-    fastest: float = 75.0
-    loop_time: float = 0.02
+    calm: float = 2.5  # speed up to which the air resists as `air` says [m/s]; walks and dances are hardly faster
+    most_rate: float = 30.0  # the largest rate at which bodies lose speed at all [1/s]
+    least_ratio: float = 0.15  # least damping of every joint, as a share of the critical one
+    fastest: float = 75.0  # springs swing at most this fast [rad/s]
+    loop_time: float = 0.02  # time in which a joint that closes a loop pulls its bodies together [s]
+    # Whether the body's mesh is a collider, bone by bone (`body_limbs`), for all apparel; None for apparel that no
+    # collider of the file meets.
     limbs: bool | None = None
-    nearby: float = 0.12
-    most_speed: float = 30.0
-    most_turn: float = 100.0
-    patience: float = 0.1
-    cut: float = 25.0
+    nearby: float = 0.12  # apparel collides with those limbs that are nearer than this at rest [m]
+    most_speed: float = 30.0  # a body that moves faster against its anchor has flown away [m/s]
+    most_turn: float = 100.0  # joints rotate at most this fast [rad/s]
+    patience: float = 0.1  # a body that would rotate faster for longer than this has flown away [s]
+    cut: float = 25.0  # a bone that is faster than this has jumped, and takes its apparel with it [m/s]
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -275,10 +248,7 @@ def _along(direction: np.ndarray) -> np.ndarray:
 
 def apparel_rig(character: Character) -> ApparelRig | None:
     """What physics move of a character with a rig; None where its file says nothing of physics, or nothing of it can be
-    used.
-
-    Raises:
-        FormatError: The nodes of its file are broken.
+    used. FormatError if the nodes of its file are broken.
     """
     if character.rig is None:
         return None

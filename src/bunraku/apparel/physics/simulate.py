@@ -187,25 +187,17 @@ class Recovery:
 
 @dataclass(frozen=True)
 class SimulationReport:
-    """What happened.
+    """What happened."""
 
-    Args:
-        recoveries: Bodies that flew away and were put back to rest, with all that hangs on them.
-        stretch: As of `stretched`.
-        rest_speed: Mean speed of the dynamic bodies in the last frame [m/s].
-        seconds: Time that the simulation of clip and warm-up took, without building the world [s].
-        frames, steps, bodies: Number of frames, of time steps in each, and of dynamic bodies.
-        notes: What of the physics was left out or repaired.
-    """
-
-    recoveries: tuple[Recovery, ...]
-    stretch: float
-    rest_speed: float
-    seconds: float
+    recoveries: tuple[Recovery, ...]  # bodies that flew away and were put back to rest, with all that hangs on them
+    stretch: float  # as of `stretched`
+    rest_speed: float  # mean speed of the dynamic bodies in the last frame [m/s]
+    seconds: float  # time that the simulation of clip and warm-up took, without building the world [s]
+    # frames, steps, bodies: number of frames, of time steps in each, and of dynamic bodies
     frames: int
     steps: int
     bodies: int
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # what of the physics was left out or repaired
 
     def problems(self) -> tuple[str, ...]:
         """What a user should know, a sentence each."""
@@ -233,7 +225,9 @@ def simulate(
     animation: RigAnimation, rig: ApparelRig | None = None, *, warmup: float = 1.0, substeps: int | None = None,
     settings: PhysicsSettings | None = None, progress: Callable[[float], None] | None = None,
 ) -> Simulation:  # fmt: skip
-    """Move the apparel of a character by physics. The same arguments give the same bytes.
+    """Move the apparel of a character by physics. The same arguments give the same bytes. CharacterError if the file
+    says nothing of physics, or its bodies cannot be simulated; OptionError if `warmup` or `substeps` is out of range;
+    MotionError if the motion is too long; MissingExtraError if MuJoCo is not installed.
 
     Args:
         animation: The motion of its rig; what it says of bones that physics move does not count.
@@ -242,12 +236,6 @@ def simulate(
         substeps: Time steps a frame; as many as `settings.step` needs by default.
         settings: What no file holds.
         progress: Called with the share done, 0 to 1.
-
-    Raises:
-        CharacterError: The file says nothing of physics, or its bodies cannot be simulated.
-        OptionError: `warmup` or `substeps` is out of range.
-        MotionError: The motion is too long.
-        MissingExtraError: MuJoCo is not installed.
     """
     check_engine("a simulation")
     character = animation.character

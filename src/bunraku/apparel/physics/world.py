@@ -146,9 +146,7 @@ def build_world(
 ) -> World:  # fmt: skip
     """The world of a character at rest, with bones at positions [m] (J, 3) and their parents (J,), and boxes of limbs
     that follow its bones (`body_limbs`). A body that is farther from its joint than `reach` weighs at its joint [m].
-
-    Raises:
-        CharacterError: There are too many dynamic bodies, or MuJoCo cannot make a world of them.
+    CharacterError if there are too many dynamic bodies, or MuJoCo cannot make a world of them.
     """
     count = len(rig.dynamic)
     if count > MOST_DYNAMIC:
