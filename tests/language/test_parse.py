@@ -245,3 +245,15 @@ def test_a_way_back_after_a_turn_is_a_way_forward(text: str, action: str) -> Non
     assert sentence.notes == ()
     (away,) = parse("marches back").clauses
     assert "backwards" in away.cues
+
+
+@pytest.mark.parametrize(
+    ("name", "action", "cue"),
+    [
+        ("Wave_L", "wave", "left arm"), ("StrafeR_Loop", "sidestep", "right go"),
+        ("UE4_Jog_Bwd_Left_45", "backward", "left go"), ("CrouchWalkFwd", "crouch walk", "forward"),
+    ],
+)  # fmt: skip
+def test_names_of_clips_say_sides_and_ways_by_letters(name: str, action: str, cue: str) -> None:
+    (clause,) = parse(name).clauses
+    assert clause.actions == (action,) and cue in clause.cues and clause.count is None

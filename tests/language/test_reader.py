@@ -9,6 +9,8 @@ import pytest
 
 from bunraku.core.nn.checkpoints import save_checkpoint
 from bunraku.errors import WeightsError
+from bunraku.gestures.catalogue import things_file
+from bunraku.gestures.interactions import read_terrain_gaits
 from bunraku.language.encoders import MiniLMEncoder
 from bunraku.language.lexicon import lexicon
 from bunraku.language.parse import parse
@@ -57,14 +59,21 @@ def test_a_checkpoint_of_other_actions_is_refused(tmp_path: Path) -> None:
     from bunraku_lab.training.reader import ReaderNetwork, packed
 
     state = packed(ReaderNetwork(2, MiniLMEncoder(), rank=2))
-    config = {"actions": ACTIONS, "shares": [1.0, 0.0, 0.0, 0.0]}
+    config = {"actions": ACTIONS, "dealings": [], "shares": [1.0, 0.0, 0.0, 0.0], "together": {}}
     path = save_checkpoint(tmp_path / "reader.safetensors", state, config, KIND)
     with pytest.raises(WeightsError, match="reader.safetensors"):
         load_reader(path)
 
 
-def test_every_action_is_one_of_the_lexicon() -> None:
-    assert lexicon().actions.keys() >= {*load_reader().actions}
+def test_every_action_is_one_of_the_lexicon_and_every_deed_and_ground_is_made() -> None:
+    reader = load_reader()
+    named: dict[str, set[str]] = {"deed": set(), "ground": set(), "sight": set()}
+    for dealing in reader.dealings:
+        kind, _, name = dealing.partition(" ")
+        if name:
+            named[kind].add(name)
+    assert named["deed"] == set(things_file()["deeds"]) and named["ground"] == set(read_terrain_gaits())
+    assert lexicon().actions.keys() >= {*reader.actions}
 
 
 @pytest.mark.parametrize(

@@ -33,10 +33,9 @@ KNOWN = (
 )  # fmt: skip
 PARTLY = {
     "plays the trombone": ["trombone"],
-    "strolls joyfully across the meadow": ["meadow"],
-    "salutes the flag": ["flag"],
+    "strolls joyfully across the linoleum": ["linoleum"],
     "walks while juggling chainsaws": ["juggling", "chainsaws"],
-    "gets up off the couch": ["couch"],
+    "gets up off the futon": ["futon"],
 }
 UNKNOWN = (
     "asdf qwer", "lorem ipsum dolor", "lorem ipsum dolor sit amet", "mies kävelee eteenpäin", "kissa hyppää",

@@ -155,16 +155,12 @@ LOW = {"floor": 0.35, "low": 0.2}
 """Seconds by which it takes longer to bend down, or to get up."""
 BACK = 0.85
 """Seconds from the last place to standing."""
-AGAIN = 3
-"""How often something is done that is done again and again."""
 
 
 def _handling_gesture(handling: Handling) -> Gesture:
     """What is held at the beginning is so from the first moment, and what is held at the end stays there."""
     steps = handling.steps
     poses = [place_pose(*step.place, handling.hands, step.does == "hold") for step in steps]
-    if handling.repeated:
-        return repeated_gesture(NAME, poses, 0.9 * len(poses), AGAIN, start=1.1, end=1.1)
     keys: list[Key] = [] if steps[0].does == "hold" else [(0.0, Pose())]
     moment, before = 0.0, ""
     for step, pose in zip(steps, poses, strict=True):

@@ -255,9 +255,16 @@ def _joined(before: str, text: str) -> str:
     """Two clauses as one; "" where they are done one after the other."""
     first, predicate = before.rstrip(" .,"), subject_of(text)[1]
     joined = f"{first}, then {predicate}"
-    taken, put = read_as(Handling, before), read_as(Handling, text)
-    if taken and put and taken.steps[-1].does != "put" and put.steps[0].does == "hold" and read_as(Handling, joined):
-        return joined
+    if not {"it", "them"}.isdisjoint(words_of(predicate)[0]):
+        taken, put = read_as(Handling, before), read_as(Handling, text)
+        if (
+            taken
+            and put
+            and taken.steps[-1].does != "put"
+            and put.steps[0].does == "hold"
+            and read_as(Handling, joined)
+        ):
+            return joined
     limbs = limbs_described(joined)
     if limbs is not None and not limbs.rest:
         return joined

@@ -177,9 +177,7 @@ class Lexicon:
     otherwise: tuple[Otherwise, ...]  # what some kinds of body do in place of a locomotion
     numbers: dict[str, int]  # what words count
     holding: frozenset[str]  # verbs that say where a part of the body is, in all their forms
-    handling_verbs: dict[str, str]  # what each form of a verb does with a thing
-    heights: dict[str, frozenset[str]]  # words for places of things, by their heights
-    levels: dict[str, float]  # what these are in metres, for a body of 1.84 m
+    levels: dict[str, float]  # heights of things in metres, for a body of 1.84 m
     contrary: tuple[frozenset[str], ...]  # cues and traits of which an example does not say another than is said
     grammar: dict[str, frozenset[str]]  # sets of words, by what they are
     irregular: dict[str, str]  # the plain form of inflected words that no rule of `vocabulary.stem` has
@@ -228,15 +226,10 @@ def lexicon() -> Lexicon:
     places = {}
     for name, said in data["places"].items():
         places[name] = frozenset[str]().union(*[signs.get(word, (word,)) for word in said[0].split("/")])
-    heights = {name: frozenset(listed.split()) for name, listed in data["handling"]["heights"].items()}
     otherwise = [
         Otherwise(**{**row, "locomotion": tuple(row["locomotion"]), "bodies": tuple(row["bodies"])})
         for row in data["otherwise"]
     ]
-    handling = {}
-    for kind, listed in data["handling"]["verbs"].items():
-        for verb in listed.split():
-            handling[verb] = kind
     irregular = {}
     for word, listed in data["irregular"].items():
         for form in listed.split():
@@ -246,13 +239,11 @@ def lexicon() -> Lexicon:
         posing=posing, past={form: past[form] for form in past.keys() - verbs.keys() - third - gerund},
         locomotion=_by_form(moving, verbs), cues=tuple(data["cues"]), places=places,
         synonyms=dict(data["synonyms"]), ground=data["ground"], otherwise=tuple(otherwise),
-        numbers=data["numbers"], holding=signs["<holding>"], handling_verbs=_by_form(handling, verbs),
-        heights=heights, levels=data["handling"]["levels"], contrary=tuple(map(frozenset, data["contrary"])),
+        numbers=data["numbers"], holding=signs["<holding>"], levels=data["levels"],
+        contrary=tuple(map(frozenset, data["contrary"])),
         grammar={name: frozenset(listed.split()) for name, listed in data["grammar"].items()}, limbs=data["limbs"],
         irregular=irregular,
-        words=frozenset(phrases.words | posing.words).union(
-            " ".join(actions).replace("-", " ").split(), *heights.values()
-        ),
+        words=frozenset(phrases.words | posing.words).union(" ".join(actions).replace("-", " ").split()),
     )  # fmt: skip
 
 

@@ -201,7 +201,19 @@ def _with_fields(cues: frozenset[str], frames: Sequence[Frame]) -> frozenset[str
     ways = _CHOICES[0]  # where arms point is not where the body goes
     read = frozenset[str]().union(*(frame.cues - ways if _stays(frame) else frame.cues for frame in frames))
     taken = [read & choice or cues & choice for choice in _CHOICES]
-    return cues.difference(*_CHOICES).union(*taken)
+    limbs = cues & _LIMBS or frozenset(filter(None, map(_limb, frames)))
+    return cues.difference(*_CHOICES).union(*taken, limbs)
+
+
+_LIMBS = frozenset(("left arm", "right arm", "left leg", "right leg"))
+"""Cues for the limb of a side."""
+
+
+def _limb(frame: Frame) -> str:
+    """The limb that does it, where a side is said: "left arm"; "" for none or both."""
+    part, side = lexicon().actions[frame.action].part, frame.fields.get("side", "both")
+    limb = "arm" if part.startswith("arms") else "leg" if part == "legs" else ""
+    return f"{side} {limb}" if limb and side != "both" else ""
 
 
 def _meanwhile(frame: Frame) -> str:

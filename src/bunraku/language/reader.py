@@ -2,7 +2,7 @@
 
 The network is the text encoder with a small change of each layer (Hu et al. 2021), learned on phrases of each action,
 and for each action two attentions over the tokens (Ilse et al. 2018): one finds whether and where the action is named,
-the other what is said of it: side, direction, turn, count, speed, posture.
+the other what is said of it: side, direction, turn, count, speed, posture, height.
 """
 
 from __future__ import annotations
@@ -34,17 +34,23 @@ FIELDS: dict[str, tuple[str, ...]] = {
     "count": ("1", "2", "3", "4", "5", "6", "7", "8", "9", "10"),
     "speed": ("slow", "fast"),
     "posture": ("sitting", "kneeling", "lying", "crouching", "all fours", "hanging"),
+    "height": (
+        "0.2", "0.3", "0.45", "0.6", "0.75", "0.85", "0.95", "1.05", "1.2", "1.3", "1.4", "1.6", "1.75", "2.05",
+    ),
+    "surface": ("top", "front", "grip"),
 }  # fmt: skip
 """What is said of an action, each beside "nothing", which comes first."""
 SURE, LIKELIEST = 0.56, 0.38
 """Probability from which an action counts, and the likeliest one where no other does; chosen on held-out phrases and
-composed sentences: what is said is exact for .57 and .55 of them, and nothing is said in .60 and .80 of those that name
-nothing; with .5 and .26 it is .60 and .58, but .55 and .70.
+composed sentences with an earlier reader: what is said is exact for .57 and .55 of them, and nothing is said in .60 and
+.80 of those that name nothing; with .5 and .26 it is .60 and .58, but .55 and .70.
 """
 GUESSED = 0.1
 """Probability from which the likeliest action is shown as a guess where none is read. Of 336 held-out phrases in which
 none is read, 263 are then shown as something, 91 of them as what they name; of 58 that name nothing, 30.
 """
+DEALT = 0.5
+"""Probability from which something is done with a thing: likelier than not; measured with no other value."""
 _CUES = {
     "direction forward": "forward", "direction backward": "backwards", "direction left": "left go",
     "direction right": "right go", "direction forward-left": "forward, left go",
@@ -88,22 +94,26 @@ def dequantised(state: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     return arrays
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Reader:
     """The network, for inference.
 
     Args:
         actions: Their names, in the order of the heads.
+        dealings: What is done with things ("deed touch", "ground deep", "sight far", "take"), whose heads come after.
         weights: Of the changes, "layers.0.query.down" and so on, and of the heads, matrices (in, out).
         shares: What makes a probability, before the logistic function: the factor of what a head says; what is added
             where the lexicon's phrases say the action; what more if it is the network's likeliest, or says that one
             already; what always.
+        together: Of each of these, the actions that the same words may name.
         encoder: Whose layers are changed.
     """
 
     actions: tuple[str, ...]
     weights: Mapping[str, np.ndarray]
     shares: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+    dealings: tuple[str, ...] = ()
+    together: Mapping[str, Sequence[str]] = field(default_factory=dict)
     encoder: MiniLMEncoder = field(default_factory=lambda: _encoder())
 
     def _head(self, name: str, x: np.ndarray) -> np.ndarray:
@@ -138,6 +148,7 @@ class Reader:
         weight, where = (softmax(self._head(name, x).T).T for name in ("query", "where"))
         return (weight * self._head("value", x)).sum(0), weight, self._head("fields", where.T @ x)
 
+    @lru_cache(maxsize=256)  # noqa: B019 - the reader lives as long as the program
     def heard(self, text: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """What `run` says of a text of plain words."""
         with one_thread():
@@ -154,19 +165,32 @@ class Reader:
         if not text:
             return []
         logits, weight, fields = self.heard(text)
+        logits = logits[: len(self.actions)]
         factor, by_phrase, by_both, always = self.shares
         rows, likeliest = lexicon().actions, self.actions[int(logits.argmax())]
         said = np.isin(self.actions, phrased)
         agreed = np.isin(self.actions, [action for action in phrased if likeliest in (action, *rows[action].covers)])
         sure = sigmoid(factor * logits + by_phrase * said + by_both * agreed + always)
         at = np.arange(len(weight)) @ weight
-        frames = []
+        frames: list[Frame] = []
         if sure.max() < LIKELIEST:  # actions that mean much the same share what one would have
             sure = sure + said * (np.argsort(np.argsort(-logits)) < 3)
         least = SURE if sure.max() >= SURE else max(sure.max(), LIKELIEST)
         for action in uncovered([self.actions[index] for index in np.flatnonzero(sure >= least)]):
             index = self.actions.index(action)
             frames.append(Frame(action, min(float(sure[index]), 1.0), float(at[index]), _fields(fields[index])))
+        return sorted(frames, key=lambda frame: frame.at)
+
+    def dealt(self, sentence: str) -> list[Frame]:
+        """What a sentence says that is done with things, in order."""
+        text = plain_words(sentence)
+        if not text:
+            return []
+        logits, weight, fields = self.heard(text)
+        sure, at, frames = sigmoid(logits), np.arange(len(weight)) @ weight, list[Frame]()
+        for number, name in enumerate(self.dealings, len(self.actions)):
+            if sure[number] > DEALT:
+                frames.append(Frame(name, float(sure[number]), float(at[number]), _fields(fields[number])))
         return sorted(frames, key=lambda frame: frame.at)
 
 
@@ -181,6 +205,7 @@ def guess_of(text: str) -> Frame | None:
         return None
     reader = load_reader()
     logits, weight, fields = reader.heard(plain)
+    logits = logits[: len(reader.actions)]
     index, (factor, _, _, always) = int(logits.argmax()), reader.shares
     sure = float(sigmoid(factor * logits[index] + always))
     at = float(np.arange(len(weight)) @ weight[:, index])
@@ -221,7 +246,8 @@ def _pieces(text: str) -> list[tuple[int, str]]:
 def nearest(text: str, count: int = 3) -> tuple[str, ...]:
     """Sentences that each say an action of the lexicon, those that are likeliest in a text first."""
     reader, verbs = load_reader(), lexicon().verbs
-    likely = [reader.actions[index] for index in np.argsort(-reader.heard(plain_words(text))[0])]
+    said = reader.heard(plain_words(text))[0][: len(reader.actions)]
+    likely = [reader.actions[index] for index in np.argsort(-said)]
     names = [action.split() for action in likely if action in lexicon().actions and action.split()[0] in verbs]
     return tuple(" ".join(("a person", verbs[verb][0], *rest)) for verb, *rest in names[:count])
 
@@ -256,8 +282,9 @@ def _load(path: Path, changed: int) -> Reader:
     state, config = load_checkpoint(path, KIND)
     with fitting_config(path):
         shares = tuple(map(float, config["shares"]))
-        reader = Reader(tuple(config["actions"]), dequantised(state), shares)  # type: ignore[arg-type]
-        fits = reader.weights["value.bias"].shape == (len(reader.actions),)
-        if not fits or not reader.layers() or not lexicon().actions.keys() >= {*reader.actions}:
+        actions, dealings = tuple(config["actions"]), tuple(config["dealings"])  # type: ignore[arg-type]
+        reader = Reader(actions, dequantised(state), shares, dealings, config["together"])  # type: ignore[arg-type]
+        fits = reader.weights["value.bias"].shape == (len(actions) + len(dealings),)
+        if not fits or not reader.layers() or not lexicon().actions.keys() >= {*actions}:
             raise WeightsError(f"{path}: the weights do not fit their actions; train them again")
     return reader

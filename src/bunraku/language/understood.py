@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from bunraku.errors import NotUnderstood
-from bunraku.language.interactions import interaction_of, thing_words
 from bunraku.language.lexicon import in_known_words, lexicon
 from bunraku.language.lexicon import words_of as words_in
 from bunraku.language.prompts import check_prompt, narrow, plain_words
@@ -93,14 +92,15 @@ def understood(prompt: str) -> Understanding:
         from bunraku.language.translation import translate  # five languages, which plain English needs not
 
         translation = translate(plain)
-        if translation.concepts and interaction_of(plain) is None:  # "touches" is French, too
+        if translation.concepts:
             found = _foreign(plain, translation)
         else:
             found = _english(plain, "en" if translation.concepts else translation.language)
-    if not found.ok and found.english:
+    if not found.ok and any(word.lower() in word_pieces() for word in _telling(found.english)):
         from bunraku.language.reader import SURE, load_reader  # numpy, which plain sentences need not
 
-        ok = any(frame.probability >= SURE for frame in load_reader().read(found.english))
+        reader = load_reader()
+        ok = bool(reader.dealt(found.english)) or any(frame.probability >= SURE for frame in reader.read(found.english))
         found = replace(found, ok=ok)
     denied, rest = _denied(found.english)
     if denied:
@@ -142,9 +142,7 @@ def _english(prompt: str, language: str) -> Understanding:
     if said != prompt:
         found = _english(said, language)
         return replace(found, prompt=prompt, unknown=_placed(found.unknown, prompt))
-    spans = words_in(prompt)[1]
-    starts = {spans[number][0] for number in thing_words(prompt)}
-    words = [word._replace(known=word.known or word.start in starts) for word in words_of(prompt)]
+    words = words_of(prompt)
     slips = {word: corrected(word.text) for word in words if not word.known}
     telling = [word for word in words if word.text.lower() not in FUNCTION_WORDS]
     if sum(word.known or bool(slips[word]) for word in telling) < _SURE * len(telling):
@@ -194,11 +192,16 @@ def _foreign(prompt: str, translation: Translation) -> Understanding:
     )  # fmt: skip
 
 
+def _telling(text: str) -> list[str]:
+    """The words of a text that say something by themselves."""
+    return [word for word in words_in(text)[0] if word.lower() not in FUNCTION_WORDS]
+
+
 def _says_something(text: str, known: list[str], count: int) -> bool:
     """Whether a sentence says a movement, or consists of known words that say something."""
     if not count or len(known) < _SHARE * count:
         return False
-    if says_action(text) or interaction_of(text) is not None:
+    if says_action(text):
         return True
     return len(known) == count and any(word.lower() not in FUNCTION_WORDS for word in known)
 

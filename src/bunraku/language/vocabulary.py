@@ -100,7 +100,7 @@ def known_words() -> dict[str, int]:
     named = [
         row["en"].replace("/", " ") for section in ("beings", "parts") for row in caption_table("words.json")[section]
     ]
-    lexical = (*lexicon().words, *lexicon().verbs, *lexicon().grammar["other words"])
+    lexical = (*lexicon().words, *lexicon().verbs, *lexicon().grammar["other words"], *lexicon().grammar["things"])
     listed = " ".join((*known_phrases(), *creature_words(), *named, *lexical))
     return (
         dict.fromkeys(own_words(), 1)

@@ -18,7 +18,7 @@ from bunraku.core.nn import layers as numpy_layers
 from bunraku.core.nn.checkpoints import load_checkpoint, save_checkpoint
 from bunraku.errors import OptionError
 from bunraku.language.encoders import TEXT_LENGTH, MiniLMEncoder
-from bunraku.language.lexicon import actions_of
+from bunraku.language.lexicon import actions_of, lexicon
 from bunraku.language.reader import FIELDS, KIND, dequantised
 from bunraku_lab.training.reader_sentences import (
     HELD_OUT,
@@ -26,6 +26,7 @@ from bunraku_lab.training.reader_sentences import (
     UNKNOWN,
     Composed,
     Composer,
+    dealings_of,
     drawn,
     labelled_sentences,
     phrases_of,
@@ -161,6 +162,7 @@ class Batch(NamedTuple):
 
 def batches(sentences: Sequence[Composed], actions: Sequence[str], encoder: MiniLMEncoder, size: int) -> list[Batch]:
     """Sentences by their lengths, at most `size` together."""
+    names = [{action, "actions" if action in lexicon().actions else "dealings"} for action in actions]
     number = {action: at for at, action in enumerate(actions)}
     first, *_, last = encoder.numbers("a")
     by_length: dict[int, list[tuple[list[int], np.ndarray, Composed]]] = {}
@@ -176,11 +178,13 @@ def batches(sentences: Sequence[Composed], actions: Sequence[str], encoder: Mini
             for row, (_, owner, sentence) in enumerate(rows):
                 for action, clause, fields in sentence.said:
                     tokens = np.flatnonzero((owner == clause) & (clause >= 0))
+                    if clause >= 0 and not len(tokens):
+                        continue  # cut off
                     span = (tokens[0], tokens[-1] + 1) if len(tokens) else (0, 0)
                     said.append((row, number[action], *span, *fields.values()))
             x = torch.from_numpy(np.stack([encoder.embedded(numbers) for numbers, _, _ in rows]))
             labels = torch.tensor(said, dtype=torch.int64).reshape(-1, 4 + len(FIELDS))
-            more = torch.tensor([[action in sentence.open for action in actions] for _, _, sentence in rows])
+            more = torch.tensor([[bool(sentence.open & kinds) for kinds in names] for _, _, sentence in rows])
             made.append(Batch(x, labels, more, tuple(sentence.text for _, _, sentence in rows)))
     return made
 
@@ -192,15 +196,17 @@ class ReaderTrainConfig(StepSettings):
     Args:
         phrases: Files with an action, a tab and a phrase in each line.
         sentences: Files with an object of JSON in each line, a sentence with all that it says.
+        dealings: File with labels in JSON, a tab and a clause about things in each line; None for none.
         data: Folder with `captions_watched.json` and `captions_asked.tsv`.
         rank: Of the changes of the encoder's layers.
         held_out: Sentences to validate on.
-        begin: A checkpoint of a reader to begin with, whose actions and fields may be fewer; None begins with the
+        begin: A checkpoint of a reader to begin with, whose actions may be others; None begins with the
             encoder.
     """
 
     phrases: tuple[Path, ...] = ()
     sentences: tuple[Path, ...] = ()
+    dealings: Path | None = None
     data: Path = Path("shared/data")
     out: Path = Path("runs/reader")
     minutes: float = 20.0
@@ -219,19 +225,26 @@ class ReaderTrainer(AveragedRun[ReaderNetwork]):
 
     Args:
         config: Settings.
-        actions: Their names, in order.
+        actions: Their names, in order, those of what is done with things last, which are none of the lexicon's.
         composer: Makes the sentences to learn.
         held_out: Sentences to validate on.
+        together: Of what is done with things, the actions that the same words may name.
     """
 
     kind = KIND
     columns = ("loss", "named", "attended", "fields", "rate")
 
     def __init__(
-        self, config: ReaderTrainConfig, actions: Sequence[str], composer: Composer, held_out: Sequence[Composed]
+        self,
+        config: ReaderTrainConfig,
+        actions: Sequence[str],
+        composer: Composer,
+        held_out: Sequence[Composed],
+        together: dict[str, list[str]],
     ):
         self.config, self.actions, self.composer = config, list(actions), composer
-        self.encoder, self.best = MiniLMEncoder(), np.inf
+        self.count = len(lexicon().actions.keys() & set(actions))
+        self.encoder, self.best, self.together = MiniLMEncoder(), np.inf, together
         self.held_out = batches(held_out, actions, self.encoder, 128)
         self.set_up(lambda: ReaderNetwork(len(actions), self.encoder, config.rank), self._begin)
         self.batches = self._batches()
@@ -240,19 +253,15 @@ class ReaderTrainer(AveragedRun[ReaderNetwork]):
         if self.config.begin is None:
             return
         state, config = load_checkpoint(self.config.begin, KIND)
-        before: list[str] = config["actions"]  # type: ignore[assignment]
-        values = [f"{name} {value}" for name, listed in FIELDS.items() for value in ("", *listed)]
-        had = values[: state["fields.bias"].size]  # new fields are the last
-        rows = dict.fromkeys(("query", "value", "where"), (before, self.actions)) | {"fields": (had, values)}
+        before: list[str] = [*config["actions"], *config.get("dealings", ())]  # type: ignore[misc]
+        kept = [action for action in before if action in self.actions]
         with torch.no_grad():
             for name, value in dequantised(state).items():
                 given, own = torch.tensor(value.T if value.ndim == 2 else value), model.state_dict()[name]
-                if own.shape == given.shape and name.split(".")[0] not in rows:
-                    own.copy_(given)
+                if name.startswith(("query", "value", "where")):
+                    own[list(map(self.actions.index, kept))] = given[list(map(before.index, kept))]
                 else:
-                    old, new = rows[name.split(".")[0]]
-                    kept = [one for one in old if one in new]
-                    own[[new.index(one) for one in kept]] = given[[old.index(one) for one in kept]]
+                    own.copy_(given)
 
     def _batches(self) -> Iterator[Batch]:
         while True:
@@ -321,9 +330,10 @@ class ReaderTrainer(AveragedRun[ReaderNetwork]):
         """What makes probabilities of the network and the lexicon's phrases together (`Reader.shares`): the logistic
         regression on the held-out sentences.
         """
-        logits, truth, sure = self.scored()
+        logits, truth, sure = (scored[:, : self.count] for scored in self.scored())
         texts = [text for batch in self.held_out for text in batch.texts]
-        phrased = torch.tensor([[action in said for action in self.actions] for said in map(actions_of, texts)])
+        actions = self.actions[: self.count]
+        phrased = torch.tensor([[action in said for action in actions] for said in map(actions_of, texts)])
         agreed = phrased & (logits == logits.max(1, keepdim=True).values)
         shares = torch.tensor([1.0, 0.0, 0.0, 0.0], requires_grad=True)
         search = torch.optim.LBFGS([shares], max_iter=100)
@@ -345,7 +355,10 @@ class ReaderTrainer(AveragedRun[ReaderNetwork]):
             return self.checkpoint
         self.best = loss
         shares = self.shares() if self.held_out else [1.0, 0.0, 0.0, 0.0]
-        config = {"actions": self.actions, "shares": shares, **note}
+        config = {
+            "actions": self.actions[: self.count], "dealings": self.actions[self.count :], "shares": shares,
+            "together": self.together, **note,
+        }  # fmt: skip
         return save_checkpoint(self.checkpoint, packed(self.average), config, self.kind)
 
 
@@ -371,6 +384,7 @@ def train_reader(config: ReaderTrainConfig, report: Callable[[dict[str, float]],
     actions = [action for action in phrases if action != NOTHING]
     if not actions:
         raise OptionError("no phrase names an action; give files of actions and phrases")
+    dealings = dealings_of(config.dealings) if config.dealings else {}
     labelled = labelled_sentences(config.sentences, actions)
     composers = {}
     for split in ("train", "val"):
@@ -381,7 +395,11 @@ def train_reader(config: ReaderTrainConfig, report: Callable[[dict[str, float]],
         }
         watched = watched_sentences(config.data, split)
         watched = [row for row in watched if {action for action, _, _ in row.said} <= set(actions)]
+        own = {text: said for text, said in dealings.items() if (drawn(text) < HELD_OUT) == (split == "val")}
         whole = [sentence for sentence in labelled if (drawn(sentence.text) < HELD_OUT) == (split == "val")]
-        composers[split] = Composer(own_phrases, watched, config.seed * 1000, whole)
+        composers[split] = Composer(own_phrases, watched, config.seed * 1000, own, whole)
     held_out = [composers["val"].sentence() for _ in range(config.held_out)]
-    return ReaderTrainer(config, actions, composers["train"], held_out).learn(report)
+    names = sorted({name for said in dealings.values() for name, _ in said})
+    dealt = {action: {name for text in phrases[action] for name, _ in dealings.get(text, ())} for action in actions}
+    together = {name: [action for action in actions if name in dealt[action]] for name in names}
+    return ReaderTrainer(config, [*actions, *names], composers["train"], held_out, together).learn(report)

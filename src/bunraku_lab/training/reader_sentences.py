@@ -13,6 +13,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,13 @@ UNKNOWN = -1
 """Of a field about which a sentence may say something that is not known here."""
 HELD_OUT = 0.05
 """Share of the phrases of each action, and of what else is written, that is validated on and not learned."""
+HANDLING = 0.08
+"""Share of an action's phrases that say something done with things from which any of them may; chosen by eye on the
+list of actions: above are "drink" and "drag a heavy thing", below "climb" and "phone".
+"""
+OF_DEALINGS = ("side", "direction", "height", "surface")
+"""Fields of what is done with things."""
+_SLOT = re.compile(r"\{([^{}]+)\}")
 Fields = dict[str, int]
 
 
@@ -44,7 +52,7 @@ class Composed:
     pieces: list[tuple[str, int]]
     said: list[tuple[str, int, Fields]] = field(default_factory=list)
     open: frozenset[str] = frozenset()
-    """Actions that it may name, too."""
+    """What else it may say: names of actions, "actions" for any, "dealings" for anything that is done with things."""
 
     @property
     def text(self) -> str:
@@ -74,6 +82,19 @@ def phrases_of(files: Sequence[Path]) -> dict[str, list[str]]:
     return dict(found)
 
 
+def dealings_of(file: Path) -> dict[str, list[tuple[str, Fields]]]:
+    """What is done with things in some clauses, of a file with labels in JSON, a tab and a clause in each line.
+
+    Raises:
+        FormatError: It is missing or damaged.
+    """
+    try:
+        rows = [line.split("\t") for line in file.read_text(encoding="utf-8").splitlines()]
+        return {text: [(name, _dealt(said)) for name, said in json.loads(labels)] for labels, text in rows}
+    except (OSError, ValueError, KeyError) as error:
+        raise FormatError(file, f"the clauses cannot be read ({error}); give labels and clauses") from error
+
+
 def labelled_sentences(files: Sequence[Path], actions: Collection[str]) -> list[Composed]:
     """Whole sentences with all that is said in them, of files with an object of JSON in each line: "sentence", and
     "clauses" with an action each and what is said of it, as `benchmarks/reader_300.md` describes. Those with other
@@ -92,7 +113,7 @@ def labelled_sentences(files: Sequence[Path], actions: Collection[str]) -> list[
         for text, clauses in read:
             said = [(action, -1, _labelled(fields)) for action, fields in clauses if action != NOTHING]
             if text and {action for action, _, _ in said} <= set(actions):
-                made.append(Composed([(text, -1)], said))
+                made.append(Composed([(text, -1)], said, frozenset(("dealings",)) | _aside(said)))
     return made
 
 
@@ -105,6 +126,18 @@ def _labelled(said: Mapping[str, Any]) -> Fields:
         if value := str(values.get(name, "")):
             fields[name] = _value(name, value) if value in FIELDS[name] else UNKNOWN
     return fields
+
+
+def _aside(said: Sequence[tuple[str, int, Fields]]) -> frozenset[str]:
+    """The step aside, where a gait goes to a side: either may be meant."""
+    sides = {_value("direction", side) for side in ("left", "right")}
+    gaits = grammar()["gaits"]
+    return frozenset(["sidestep"] * any(action in gaits and fields["direction"] in sides for action, _, fields in said))
+
+
+def _dealt(said: dict[str, str]) -> Fields:
+    fields = dict.fromkeys(FIELDS, UNKNOWN) | dict.fromkeys(OF_DEALINGS, 0)
+    return fields | {name: _value(name, value) for name, value in said.items()}
 
 
 def drawn(text: str) -> float:
@@ -130,8 +163,9 @@ def watched_sentences(data: Path, split: str) -> list[Composed]:
             key = f"{name}@{round(stretch['start'] * 20)}"  # frames a second of the archive
             if key in labels:
                 said = [(action, -1, unknown) for action in labels[key][0] if action != NOTHING]
+                more = frozenset(("dealings", *labels[key][1]))
                 for text in map(plain_words, (*stretch["texts"], *asked.get(f"{name}#{index}", ()))):
-                    made.append(Composed([(text, -1)], said, frozenset(labels[key][1])))
+                    made.append(Composed([(text, -1)], said, more))
     return [sentence for sentence in made if sentence.text]
 
 
@@ -172,7 +206,8 @@ def told(text: str, action: str) -> Fields:
     finder, says = _tellers(action)
     values: dict[str, set[str]] = defaultdict(set)
     for name, value in (says[form] for form in finder.findall(text.lower())):
-        values[name].add(value)
+        if value:  # "picks up" and the like say nothing
+            values[name].add(value)
     rest = set(finder.sub(" ", text.lower()).split())
     going = action in said["gaits"] or action in said["travels"] or action in said["aiming"] or action in said["ways"]
     for name, words in _words_of_fields().items():
@@ -200,6 +235,7 @@ class Composer:
         phrases: By action; `NOTHING` for those that name none.
         watched: What people wrote about captured motion.
         seed: Of the draw.
+        dealings: What is done with things, by clause; phrases of actions may be among them.
         labelled: Whole sentences that are taken as they are, all that they say being known.
     """
 
@@ -208,10 +244,22 @@ class Composer:
         phrases: dict[str, list[str]],
         watched: Sequence[Composed],
         seed: int,
+        dealings: Mapping[str, list[tuple[str, Fields]]] = MappingProxyType({}),
         labelled: Sequence[Composed] = (),
     ):
         self.labelled = labelled
         self.phrases, self.watched, self.rng = phrases, watched, np.random.default_rng(seed)
+        known = {phrase for listed in phrases.values() for phrase in listed}
+        self.dealings = dealings
+        shares = {action: np.mean([text in dealings for text in listed]) for action, listed in phrases.items()}
+        self.handling = {action for action, share in shares.items() if share > HANDLING}
+        by_label: dict[str, list[str]] = defaultdict(list)
+        for text, said in dealings.items():
+            if text not in known:
+                by_label[said[0][0]].append(text)
+        self.dealt = list(by_label.values())
+        roots = np.array([len(texts) for texts in self.dealt]) ** 0.5
+        self.dealt_shares = roots / max(roots.sum(), 1.0)
         counts = Counter(action for sentence in watched for action, _, _ in sentence.said)
         self.actions = [action for action in phrases if action != NOTHING]
         weights = np.array([1 + min(counts[action] / 100, 9) ** 0.5 for action in self.actions])
@@ -232,10 +280,10 @@ class Composer:
                 chosen: Composed = self.pick(given)
                 return self.misspelt(replace(chosen, pieces=list(chosen.pieces)))
             draw -= share
-        if self.chance(0.01):
-            return self.misspelt(self.returned())
+        if self.chance(0.14):
+            return self.misspelt(self.clip())
         draw = self.rng.random()
-        count = 1 if draw < 0.5 else 2 if draw < 0.89 else 3
+        count = 1 if draw < 0.47 else 2 if draw < 0.84 else 3 if draw < 0.96 else 4
         clauses = [self.clause() for _ in range(count)]
         composed = Composed([(clauses[0][0], 0)], [(action, 0, fields) for action, fields in clauses[0][1]])
         for index, (text, said) in enumerate(clauses[1:], 1):
@@ -243,6 +291,9 @@ class Composer:
             kind = kinds[int(self.rng.choice(3, p=(0.76, 0.04, 0.2)))] if count == 2 else "joins"
             composed = self.joined(composed, (text, index), kind)
             composed.said += [(action, index, fields) for action, fields in said]
+        if any(said and all(name not in self.phrases for name, _ in said) for _, said in clauses):
+            composed.open = frozenset(("actions",))
+        composed.open |= _aside(composed.said) | self.beside(composed.said)
         if count == 1 or self.chance(0.3):
             if self.chance(0.16):
                 composed.pieces.insert(0, (self.pick(self.grammar["before"]), -1))
@@ -271,38 +322,64 @@ class Composer:
 
     def clause(self) -> tuple[str, list[tuple[str, Fields]]]:
         """A clause, and what it says."""
-        draw, said = self.rng.random(), self.grammar
-        if draw < 0.15:
-            return self.gait()
-        if draw < 0.18:
-            action, fields = "idle", _none()
-            text = (
-                f"{self.pick(said['held'])} {self.pick(said['stand words'])}"
-                if self.chance(0.6)
-                else self.pick(said["stand words"])
-            )
-        elif draw < 0.235:
-            return self.turn()
-        elif draw < 0.255:
-            return self.glance()
-        elif draw < 0.265:
-            return self.stairs()
-        elif draw < 0.28:
-            way = "starts" if self.chance(0.4) else "stops"
-            gait = self.pick(("walk", "run"))
-            text = self.pick(said[way]).format(gait=self.pick(said["gait words"][gait]))
-            pair = [("idle", _none()), (gait, _none())]
-            return text, pair if way == "starts" else pair[::-1]
-        elif draw < 0.35:
-            if self.chance(0.25):
-                return self.pick(said["moods"]), []
-            return self.spoken(plain_words(self.pick(self.phrases[NOTHING]))), []
+        if self.dealt and self.chance(0.25):
+            text = self.pick(self.dealt[int(self.rng.choice(len(self.dealt), p=self.dealt_shares))])
+            return text, self.dealings[text]
+        draw = self.rng.random()
+        if draw < 0.07:
+            mood = self.chance(0.25)
+            text = self.pick(self.grammar["moods"] if mood else self.phrases[NOTHING])
+            return text if mood else self.spoken(plain_words(text)), []
+        if draw < 0.35:
+            text, said = self.filled(self.row("templates"))
         else:
             action = self.actions[int(self.rng.choice(len(self.actions), p=self.weights))]
-            text = plain_words(self.pick(self.phrases[action]))
-            fields = told(text, action)
-            text = self.spoken(text)
-        return self.modified(text, action, fields)
+            phrase = self.pick(self.phrases[action])
+            text = plain_words(phrase)
+            said = [(action, told(text, action)), *self.dealings.get(phrase, ())]
+        text = self.spoken(text)
+        return self.modified(text, *said[0]) if len(said) == 1 else (text, said)
+
+    def beside(self, said: Sequence[tuple[str, int, Fields]]) -> frozenset[str]:
+        """What else may be said: something done with things where an action is that, labelled or not."""
+        return frozenset(["dealings"] * any(action in self.handling for action, _, _ in said))
+
+    def row(self, name: str) -> dict[str, Any]:
+        """One of the grammar's rows, by their shares."""
+        rows = self.grammar[name]
+        ends = np.cumsum([row["share"] for row in rows])
+        chosen: dict[str, Any] = rows[int(np.searchsorted(ends, self.rng.random() * ends[-1], side="right"))]
+        return chosen
+
+    def filled(self, row: Mapping[str, Any]) -> tuple[str, list[tuple[str, Fields]]]:
+        """A text in one of the forms of a row, and what that says.
+
+        Args:
+            row: "forms" have names of the grammar's lists, or of what varies, in braces, and after a point the part of
+                a list, itself with "$" where that varies; "says" has actions and their fields, with "$", too. A field
+                that varies and is not in the text is "?".
+        """
+        values, used, said = {name: self.pick(some) for name, some in row["vary"].items()}, set(), self.grammar
+
+        def fill(match: re.Match[str]) -> str:
+            name, _, key = match[1].partition(".")
+            used.update((name, key.removeprefix("$"), "side" if name == "s" else ""))
+            if name in values or name == "s":
+                return str(values["side"][0] if name == "s" else values[name])
+            some = said[name][values.get(key[1:], key)] if key else said[name]
+            return _SLOT.sub(fill, self.pick(some))
+
+        text, frames = _SLOT.sub(fill, self.pick(row["forms"])), []
+        for action, told_of in row["says"]:
+            action = values.get(action[1:], action)
+            given = {f"${name}": value if name in used else "?" for name, value in values.items()}
+            known = {name: given.get(value, value) for name, value in told_of.items()}
+            usual = said["of actions"]["posture"]
+            posture = known.get("posture") or usual.get(action) or usual.get(values.get("gait", ""), "")
+            action = said["in posture"].get(f"{action} {posture}", action)
+            known |= {"posture": posture} if posture else {}
+            frames.append((action, _none() | {name: _value(name, value) for name, value in known.items()}))
+        return text, frames
 
     def spoken(self, text: str) -> str:
         """A phrase with its first verb in another form, and with a subject."""
@@ -318,136 +395,75 @@ class Composer:
         ) if self.chance(0.5) else ""  # fmt: skip
         return f"{before} {'is ' if form == 2 and before else ''}{forms[form]} {rest}".strip()
 
-    def modified(self, text: str, action: str, fields: Fields) -> tuple[str, list[tuple[str, Fields]]]:
-        """A clause with more said of it, in one of the fields of which it says nothing."""
+    def modified(
+        self, text: str, action: str, fields: Fields, name: bool = False
+    ) -> tuple[str, list[tuple[str, Fields]]]:
+        """A clause with more said of it, in one of the fields of which it says nothing.
+
+        Args:
+            text: The clause.
+            action: What it says.
+            fields: What of it; changed.
+            name: Whether it is the name of a clip, where side, way and posture are said often, and by codes.
+        """
         said, part = self.grammar, lexicon().actions[action].part if action in lexicon().actions else ""
         limb = said["parts"].get(part.split()[0] if part else "")
-        free = {name for name, value in fields.items() if value == 0}
-        if limb and "side" in free and self.chance(0.15):
+        free, often = {known for known, value in fields.items() if value == 0}, 2 if name else 1
+        lists = ("side codes", "codes", "codes", "poses") if name else ("sides", "directions", "aims", "postures")
+        sides, ways, aims, postures = (said[listed] for listed in lists)
+        if limb and "side" in free and self.chance(0.15 * often):
             side = self.pick(FIELDS["side"])
-            way = self.pick(said["sides"][side]).format(part=limb)
-            text, fields["side"] = (
-                (f"{text} {way}" if self.chance(0.7) else f"{way} {text}"),
-                _value("side", side),
-            )
-        if action in said["travels"] and "direction" in free and self.chance(0.3):
+            word, fields["side"] = self.pick(sides[side]).format(part=limb), _value("side", side)
+            text = f"{text} {word}" if self.chance(0.7) else f"{word} {text}"
+        if action in said["travels"] and "direction" in free and self.chance(0.4 * often):
             way = self.pick([one for one in FIELDS["direction"] if one != "circle"])
             before = self.chance(0.15) and way in FIELDS["direction"][:2]
-            word, fields["direction"] = self.pick(said["directions"][way]), _value("direction", way)
+            word, fields["direction"] = self.pick(ways[way]), _value("direction", way)
             text = f"{word} {text}" if before else f"{text} {word}"
-        elif action in said["aiming"] and "direction" in free and self.chance(0.25):
+        elif action in said["aiming"] and "direction" in free and not (name and limb) and self.chance(0.33 * often):
             way = self.pick(tuple(said["aims"]))
-            text, fields["direction"] = f"{text} {self.pick(said['aims'][way])}", _value("direction", way)
+            text, fields["direction"] = f"{text} {self.pick(aims[way])}", _value("direction", way)
         if {"degrees", "turn side", "direction"} <= free and not fields["direction"] and self.chance(0.045):
-            text = self.turned(text, fields)
-        for name in ("count", "speed"):
-            if name in free and self.chance(0.07):
-                value = self.pick([one for one in FIELDS[name] if one in said[f"{name}s"]])
-                word = self.pick(said[f"{name}s"][value])
-                before = name == "speed" and self.chance(0.4)
-                text, fields[name] = f"{word} {text}" if before else f"{text} {word}", _value(name, value)
-        if "posture" in free and (part or action in ("idle", "talk")) and self.chance(0.15):
+            row = self.row("turned")
+            text, ((_, turn),) = self.filled({**row, "vary": {**row["vary"], "0": [text]}})
+            fields |= {known: turn[known] for known in ("turn side", "degrees")}
+        for known in () if name else ("count", "speed"):
+            if known in free and self.chance(0.09):
+                value = self.pick([one for one in FIELDS[known] if one in said[f"{known}s"]])
+                word = self.pick(said[f"{known}s"][value])
+                before = known == "speed" and self.chance(0.4)
+                text, fields[known] = f"{word} {text}" if before else f"{text} {word}", _value(known, value)
+        if "posture" in free and (part or action in ("idle", "talk")) and self.chance(0.15 * often):
             posture = self.pick(FIELDS["posture"][:5])
-            word, action = self.pick(said["postures"][posture]), said["in posture"].get(f"{action} {posture}", action)
-            text = f"{word} {text}" if self.chance(0.5) else f"{text} {word}"
+            word, action = self.pick(postures[posture]), said["in posture"].get(f"{action} {posture}", action)
+            text = f"{word} {text}" if name or self.chance(0.5) else f"{text} {word}"
             fields["posture"] = _value("posture", posture)
-        if self.chance(0.07):
+        if self.chance(0.07) and not name:
             text = f"{text} {self.pick(said['tails'])}"
         return text, [(action, fields)]
 
-    def gait(self) -> tuple[str, list[tuple[str, Fields]]]:
-        """A person goes somewhere: backwards and sideways are actions of their own, whatever the gait."""
-        said, fields = self.grammar, _none()
-        action = self.pick(said["gaits"]) if self.chance(0.4) else self.pick(("walk", "walk", "run"))
-        text = self.pick(said["gait words"][action])
-        if self.chance(0.25):
-            text = f"{self.pick(said['held'])} {text}"
-        if self.chance(0.65):
-            way = self.pick(FIELDS["direction"][:8])
-            word = self.pick(said["directions"][way])
-            fields["direction"] = _value("direction", way)
-            aside = way in ("left", "right")
-            if self.chance(0.25):  # "strafe" turns any gait into a step aside, but not forwards
-                text, aside = f"{text} {self.pick(said['strafes'])}", way in ("left", "right")
-            text = f"{word} {text}" if self.chance(0.15) else f"{text} {word}"
-            if action == "crouch walk" or ((aside or way.startswith("backward")) and "crouch" in text):
-                fields["posture"] = _value("posture", "crouching")
-            action = "sidestep" if aside else "backward" if way.startswith("backward") else action
-        elif self.chance(0.15):
-            turned, more = self.turn()
-            return f"{text} {turned}", [(action, fields), *more]
-        elif self.chance(0.15):
-            side = self.pick(("left", "right", "?"))
-            ways = said["directions"]["circle"] if side == "?" else said["circles turning"][side]
-            text, fields["direction"] = f"{text} {self.pick(ways)}", len(FIELDS["direction"])
-            if side != "?":
-                fields["turn side"], fields["degrees"] = _value("turn side", side), _value("degrees", "?")
-            return self.spoken(text), [("circle", fields)]
-        return self.modified(self.spoken(text), action, fields)
-
-    def stairs(self) -> tuple[str, list[tuple[str, Fields]]]:
-        """A person climbs up or down."""
-        said, fields = self.grammar, _none()
-        action, way = self.pick(("climb", "ladder")), self.pick(("up", "down"))
-        text = self.pick(said["climbs"][way]).format(self.pick(said["climbed"][action]))
-        fields["direction"] = _value("direction", way)
-        return self.modified(self.spoken(text), action, fields)
-
-    def returned(self) -> Composed:
-        """A person turns around and goes back, which is forward."""
-        said, fields, around = self.grammar, _none(), _none()
-        gait = self.pick(said["gaits"]) if self.chance(0.5) else self.pick(("walk", "run"))
-        go = self.spoken(f"{self.pick(said['gait words'][gait])} {self.pick(said['returns'])}")
-        fields["direction"], around["degrees"] = _value("direction", "forward"), _value("degrees", "180")
-        around["turn side"] = _value("turn side", "?")
-        first, joint = self.spoken(self.pick(said["turns back"])), self.pick(("and", "then", ", then", ",", "and then"))
-        pieces, second = [(first, 0), (joint, -1), (go, 1)], 1
-        if self.chance(0.5):
-            out = self.pick(("walk", "run"))
-            pieces = [(self.spoken(self.pick(said["gait words"][out])), 2), (",", -1), *pieces]
-            return Composed(pieces, [(out, 2, _none()), ("turn around", 0, around), (gait, second, fields)])
-        return Composed(pieces, [("turn around", 0, around), (gait, second, fields)])
-
-    def turn(self) -> tuple[str, list[tuple[str, Fields]]]:
-        """A person turns."""
-        said, fields = self.grammar, _none()
-        action, side, degrees = (
-            self.pick(tuple(said["turns"])),
-            self.pick(("left", "right")),
-            self.pick(said["degrees"]),
+    def clip(self) -> Composed:
+        """The name of a clip as game makers write it: what is held, posture, action, way and angle, abbreviated in any
+        way, and in many orders.
+        """
+        text, frames = self.named() if self.chance(0.35) else self.filled(self.row("clips"))
+        before, held, behind = (
+            [self.pick(self.grammar[name])] * self.chance(share)
+            for name, share in (("before", 0.15), ("held", 0.3), ("behind", 0.25))
         )
-        way = self.pick(said["turns"][action])
-        text = way.format(side=side, s=side[0], degrees=degrees)
-        quarter = "90" if "quarter" in way else "?"
-        angle = {"turn around": "180", "spin": "360"}.get(action, degrees if "{degrees}" in way else quarter)
-        fields["degrees"] = _value("degrees", angle)
-        fields["turn side"] = _value("turn side", side if "{s" in way else "?")
-        posture = self.pick(("", "", "", "", "", "crouching", "sitting"))
-        if posture:
-            word, fields["posture"] = self.pick(said["postures"][posture]), _value("posture", posture)
-            text = f"{word} {text}" if self.chance(0.6) else f"{text} {word}"
-        return self.spoken(text), [(action, fields)]
+        text = plain_words(" ".join((*before, *held, text, *behind)))
+        said = [(action, 0, fields) for action, fields in frames]
+        return Composed([(text, 0)], said, self.beside(said))
 
-    def turned(self, text: str, fields: Fields) -> str:
-        """A clause with a turn that its action contains."""
-        kind, side = self.pick(tuple(self.grammar["turned"])), self.pick(("left", "right"))
-        sided = kind.endswith("side")
-        fields["turn side"] = _value("turn side", side if sided else "?")
-        fields["degrees"] = _value("degrees", kind.split()[0] if kind[0].isdigit() else "?")
-        return str(self.pick(self.grammar["turned"][kind]).format(text, side=side))
-
-    def glance(self) -> tuple[str, list[tuple[str, Fields]]]:
-        """Eyes and head go to a side, or to both, and the body stays."""
-        side, fields = self.pick(("left", "right")), _none()
-        if self.chance(0.2):
-            return self.modified(self.spoken(self.pick(self.grammar["glances around"])), "look around", fields)
-        text = self.pick(self.grammar["glances"]).format(side=side, s=side[0])
-        fields["direction"] = _value("direction", side)
-        return self.modified(self.spoken(text), "look aside", fields)
+    def named(self) -> tuple[str, list[tuple[str, Fields]]]:
+        """Any action, with its side, way or posture, in the name of a clip."""
+        action = self.actions[int(self.rng.choice(len(self.actions), p=self.weights))]
+        text = plain_words(min((self.pick(self.phrases[action]) for _ in range(3)), key=len))
+        return self.modified(text, action, told(text, action), name=True)
 
 
 def _none() -> Fields:
-    return dict.fromkeys(FIELDS, 0)
+    return dict.fromkeys(FIELDS, 0) | dict.fromkeys(("height", "surface"), UNKNOWN)
 
 
 def _value(name: str, value: str) -> int:

@@ -13,7 +13,14 @@ from bunraku.language.encoders import MiniLMEncoder
 from bunraku.language.reader import FIELDS, dequantised, load_reader
 from bunraku_lab.training import reader as training
 from bunraku_lab.training.reader import ReaderTrainConfig
-from bunraku_lab.training.reader_sentences import UNKNOWN, Composed, Composer, phrases_of
+from bunraku_lab.training.reader_sentences import (
+    UNKNOWN,
+    Composed,
+    Composer,
+    dealings_of,
+    grammar,
+    phrases_of,
+)
 
 WATCHED = Composed([("a person walks on", -1)], [("walk", -1, dict.fromkeys(FIELDS, UNKNOWN))])
 VERBS = {"walk": "walks", "jump": "jumps", "wave": "waves", "idle": "stands", "none": "blinks", "sidestep": "strafes"}
@@ -22,14 +29,18 @@ VERBS = {"walk": "walks", "jump": "jumps", "wave": "waves", "idle": "stands", "n
 @pytest.fixture
 def config(tmp_path: Path) -> ReaderTrainConfig:
     lines = [f"{action}\t{verb} {index}" for action, verb in VERBS.items() for index in range(60)]
-    more = "run,march,sneak,limp,skip,crouch walk,backward,circle,turn,turn around,spin,crouch idle,sit,kneel,lie"
-    lines += [f"{action}\t{action}" for action in (*more.split(","), "look aside", "look around", "climb", "ladder")]
+    said = grammar()
+    named = [action for row in (*said["templates"], *said["clips"]) for action, _ in row["says"]]
+    more = {*named, *said["gaits"], *said["in posture"].values(), "climb", "ladder"} - {*VERBS}
+    lines += [f"{action}\t{action}" for action in sorted(more) if action[0] != "$"]
     (tmp_path / "phrases.tsv").write_text("\n".join(lines), encoding="utf-8")
+    labels = json.dumps([["deed pat", {"height": "0.6", "side": "left"}]])
+    (tmp_path / "things.tsv").write_text("\n".join(f"{labels}\tpats dog {n}" for n in range(9)), encoding="utf-8")
     (tmp_path / "captions_watched.json").write_text(json.dumps({"clips": {}}), encoding="utf-8")
     (tmp_path / "captions_asked.tsv").write_text("", encoding="utf-8")
     return ReaderTrainConfig(
-        phrases=(tmp_path / "phrases.tsv",), data=tmp_path,
-        out=tmp_path / "run", held_out=32, minutes=0, batch=8, validate_every=8, warmup=4, rate=3e-3, steps=24,
+        phrases=(tmp_path / "phrases.tsv",), dealings=tmp_path / "things.tsv", data=tmp_path,
+        out=tmp_path / "run", held_out=32, minutes=0, batch=8, validate_every=16, warmup=4, rate=4e-3, steps=48,
     )  # fmt: skip
 
 
@@ -44,6 +55,22 @@ def test_sentences_name_what_their_clauses_are_made_of(config: ReaderTrainConfig
             assert all(-1 <= fields[name] <= len(values) for name, values in FIELDS.items())
     again = Composer(phrases, [WATCHED], 1)
     assert again.sentence().text == Composer(phrases, [WATCHED], 1).sentence().text
+
+
+def test_a_row_says_no_more_than_its_text(config: ReaderTrainConfig) -> None:
+    says = [["turn", {"turn side": "$side", "degrees": "$degrees"}]]
+    row = {"forms": ["{codes.$side} turn"], "says": says, "vary": {"side": ["left"], "degrees": ["90"]}}
+    text, ((action, fields),) = Composer(phrases_of(config.phrases), [], 1).filled(row)
+    assert action == "turn" and text.removesuffix(" turn") in grammar()["codes"]["left"]
+    assert FIELDS["turn side"][fields["turn side"] - 1] == "left" and FIELDS["degrees"][fields["degrees"] - 1] == "?"
+
+
+def test_what_is_done_with_things_is_composed_beside_actions_that_may_go_with_it(config: ReaderTrainConfig) -> None:
+    assert config.dealings is not None
+    composer = Composer(phrases_of(config.phrases), [], 1, dealings_of(config.dealings))
+    made = [sentence for sentence in (composer.sentence() for _ in range(200)) if "actions" in sentence.open]
+    fields = next(fields for name, _, fields in made[0].said if name == "deed pat")
+    assert FIELDS["height"][fields["height"] - 1] == "0.6" and fields["count"] == UNKNOWN and not fields["direction"]
 
 
 def test_batches_have_what_the_encoder_reads() -> None:
@@ -75,11 +102,12 @@ def test_a_run_learns_and_goes_on(config: ReaderTrainConfig, monkeypatch: pytest
     monkeypatch.setattr(training, "POOL", 32)
     rows: list[dict[str, float]] = []
     path = training.train_reader(config, rows.append)
-    assert [row["step"] for row in rows] == [8, 16, 24] and rows[-1]["validation"] < rows[0]["validation"]
+    assert [row["step"] for row in rows] == [16, 32, 48] and rows[-1]["validation"] < rows[0]["validation"]
     reader = load_reader(path)
     assert {"walk", "jump"} <= set(reader.actions) and "none" not in reader.actions
-    training.train_reader(ReaderTrainConfig(**{**vars(config), "steps": 25}), rows.append)
-    assert rows[-1]["step"] == 25
+    assert reader.dealings == ("deed pat",)
+    training.train_reader(ReaderTrainConfig(**{**vars(config), "steps": 49}), rows.append)
+    assert rows[-1]["step"] == 49
     begun = ReaderTrainConfig(**{**vars(config), "out": config.out / "more", "steps": 1, "begin": path, "rate": 1e-7})
     training.train_reader(begun, rows.append)
     assert rows[-1]["validation"] == pytest.approx(rows[2]["validation"], rel=0.03)  # but for the steps of int8
