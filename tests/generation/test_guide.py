@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bunraku.core.body.joint_rotations import skeleton_from_handles
-from bunraku.generation.composition import at_once, on_one_leg, unturned, warped
+from bunraku.generation.composition import SLOWED, at_once, on_one_leg, unturned, warped
 from bunraku.generation.features import FeatureStatistics, decode, mirror
 from bunraku.generation.guide import (
     GuidanceExamples,
@@ -16,7 +16,7 @@ from bunraku.generation.guide import (
     laid,
     laid_script,
     repeated,
-    timed,
+    times_in,
 )
 from bunraku.generation.networks import Networks, Texts
 from bunraku.generation.pack import ExamplePack
@@ -50,20 +50,26 @@ def test_what_is_to_be_done_once_has_rest_around_it(pack, units):
     guide = laid(pack, KICK, 100, units, np.random.default_rng(0), Manner(count=1))
     long, kick = units.restore(guide.values), pack.features(1)
     moving = np.flatnonzero(np.abs(np.diff(long[:, 3:], axis=0)).max(axis=1) > 1e-4)
-    assert 0 < moving[0] <= 20 and 22 <= moving[-1] - moving[0] <= 38
+    assert moving[0] <= 5 and 22 <= moving[-1] - moving[0] <= 38
     np.testing.assert_allclose(np.ptp(long[:, 3:], axis=0).max(), np.ptp(kick[:, 3:], axis=0).max(), rtol=0.02)
     np.testing.assert_allclose(long[-1, :3], 0, atol=1e-3)
 
 
 def test_an_example_fills_its_time(pack, units):
-    """It is done again, faster or slower, unless it is over with the body at another height."""
+    """What is done once is done again where a body would rest for too long, unless it ends at another height."""
     kick, sits = pack.features(1), pack.features(1).copy()
     sits[:, 3] -= np.linspace(0, 0.5, len(sits))
-    for frames in (25, 34, 50, 100):
-        assert len(timed(kick, frames, 4)) == frames
-    assert len(timed(kick, 100, 1)) == len(timed(sits, 100, 4)) == 37
-    again = timed(kick, 60, 4)
-    assert np.abs(np.diff(again, axis=0)).max() < 1.2 * np.abs(np.diff(kick, axis=0)).max()
+    assert [times_in(frames, kick, SLOWED, ["kick"]) for frames in (25, 60, 120, 190)] == [1, 1, 2, 4]
+    assert times_in(120, kick, SLOWED, ["squat"]) == 4 and times_in(120, sits, SLOWED, ["kick"]) == 1
+    standing = np.repeat(kick[:1], 60, axis=0)
+    skeleton = skeleton_from_handles(decode(standing))
+    stands = replace(pack.examples[1], name="stand", texts=(), frames=60)
+    data = (*pack.data, packed_stretch(skeleton.root_translation, skeleton.rotations))
+    with_rest = replace(pack, examples=(*pack.examples, stands), data=data)
+    for seed in range(3):
+        guide = laid(with_rest, KICK, 196, units, np.random.default_rng(seed))
+        moving = np.flatnonzero(np.abs(np.diff(units.restore(guide.values)[:, 3:], axis=0)).max(axis=1) > 1e-2)
+        assert len(guide.values) == 196 and (196 - moving[-1]) / 20 < 1.5 and np.diff(moving).max() / 20 < 1.5
 
 
 def test_what_is_not_to_turn_is_straightened(pack):
@@ -100,7 +106,7 @@ def test_around_what_stops_in_midmotion_the_sampler_is_left_to_itself(pack, unit
     guide = laid(cut, WAVE, 100, units, np.random.default_rng(0))
     led = np.flatnonzero(guide.share == 1)
     assert 40 <= len(led) <= 50 and (np.diff(led) == 1).all()
-    assert guide.share[0] == guide.share[-1] == 0 and np.abs(np.diff(guide.share)).max() < 0.2
+    assert guide.share[0] == 1 and guide.share[-1] == 0 and np.abs(np.diff(guide.share)).max() < 0.2
     assert (laid(pack, KICK, 100, units, np.random.default_rng(0)).share == 1).all()  # it can be held
 
 
@@ -108,7 +114,7 @@ def test_who_goes_on_does_not_stand_before_or_after(pack, units):
     """What could be held is left to the sampler where the sentence says that it lasts."""
     guide = laid(pack, KICK, 100, units, np.random.default_rng(0), Manner(lasts=True))
     led = np.flatnonzero(guide.share == 1)
-    assert led[0] > 0 and len(led) == 30 and guide.share[-1] == 0
+    assert led[0] == 0 and len(led) == 30 and guide.share[-1] == 0
     examples = GuidanceExamples(pack, {})
     for sentence, lasts in (
         ("a person walks backward", True),
@@ -195,13 +201,10 @@ def test_the_crouch_before_a_jump_is_not_held_but_a_seat_and_the_floor_are(pack,
 
         known = Known(**vars(pack))
         share = laid(known, KICK, 100, units, np.random.default_rng(0)).share
-        return bool(share[0] == 1), bool(share[-1] == 1)
+        return bool(share[-1] == 1)
 
-    assert around(0.0, 0.0) == (True, True)
-    assert around(-0.25, -0.25) == (False, False)
-    assert around(-0.4, 0.0) == (True, True)
-    assert around(0.0, -0.4) == (True, True)
-    assert around(-0.6, -0.6) == (True, True)
+    ends = [(0.0, 0.0), (-0.25, -0.25), (-0.4, 0.0), (0.0, -0.4), (-0.6, -0.6)]
+    assert [around(*pair) for pair in ends] == [True, False, True, True, True]
 
 
 def test_the_height_of_a_kick_is_joined_to_standing_and_none_of_the_kick_is_lost(pack, units):
@@ -220,7 +223,7 @@ def test_the_height_of_a_kick_is_joined_to_standing_and_none_of_the_kick_is_lost
     guide = laid(short, Found(0, False, 0.9), 100, units, np.random.default_rng(0))
     laid_out = units.restore(guide.values)
     assert np.abs(laid_out[:, 3:] - cut[-1, 3:]).max(axis=1).min() < 1e-3
-    assert (guide.share == 1).all() and not on_one_leg(laid_out[-20:])
+    assert (guide.share == 1).all() and not on_one_leg(laid_out[-5:])
 
 
 def _cut(pack, stop, loop):
@@ -249,36 +252,6 @@ def test_standing_on_one_leg_is_nothing_to_be_joined_to(pack, features):
     kick = pack.features(1)
     assert on_one_leg(kick)
     assert replace(pack, examples=examples).standing == (0,)
-
-
-def test_an_example_that_begins_bent_is_passed_over_where_there_is_another(pack):
-    kick = pack.features(1)
-    bent = kick.copy()
-    bent[0, 10:] += 0.5  # no person stands like that
-    standing = np.repeat(kick[:1], 40, axis=0)
-
-    class Known(ExamplePack):
-        def features(self, position):
-            return (bent, kick, standing)[position]
-
-    axes = np.eye(4)
-    still = skeleton_from_handles(decode(standing))
-    examples = (
-        replace(pack.examples[1], name="bent"), pack.examples[1],
-        replace(pack.examples[1], name="stand", texts=(), frames=40),
-    )  # fmt: skip
-    data = (*pack.data[:2], packed_stretch(still.root_translation, still.rotations))
-    known = Known(
-        examples, data, np.array([0, 1]), np.stack([axes[[0, 0]], axes[[2, 2]]]),
-        np.stack([axes[[0, 0, 1]], axes[[2, 2, 3]]]), "none",
-    )  # fmt: skip
-    examples = GuidanceExamples(known, {"kicks": (clause_of("a person kicks with the right leg"), axes[0])})
-    taken = {
-        examples.of([(clause_of("kicks"), 40)], (seed, 0), number).found[0].number
-        for seed in range(8)
-        for number in (0, 1)
-    }
-    assert taken == {1}
 
 
 def test_a_gesture_made_by_code_is_told_apart_and_joined_to_standing_of_its_kind(pack, units):

@@ -178,7 +178,8 @@ def chosen(told, candidates=2):
     def draw(rows, positions):
         asked.extend(zip(rows, positions, strict=True))
         return [
-            drawn(told[row][position][1], 100 * row + position) for row, position in zip(rows, positions, strict=True)
+            replace(drawn(told[row][position][1], 100 * row + position), origin=(row, position))
+            for row, position in zip(rows, positions, strict=True)
         ]
 
     def score(some):

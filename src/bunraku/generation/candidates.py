@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
 
-from bunraku.core.geometry.curves import gaussian, smooth_step
+from bunraku.core.geometry.curves import gaussian
 from bunraku.core.request import CANDIDATES, check_all
 from bunraku.core.request import GUIDANCE as GUIDANCE_LIMIT
 from bunraku.core.request import STEPS as STEP_LIMIT
@@ -24,7 +24,7 @@ from bunraku.errors import OptionError
 from bunraku.generation.composition import at_once, clause_spans, steadied, straightened, turned_as_asked
 from bunraku.generation.denoiser import Denoiser
 from bunraku.generation.extractor import LONGEST, RADIUS, SHORTEST, Extractor, embed_motions
-from bunraku.generation.features import FEATURE_SIZE, FeatureStatistics, decode, root_velocities, standing_legs
+from bunraku.generation.features import FEATURE_SIZE, FeatureStatistics, decode, root_velocities
 from bunraku.generation.networks import Networks
 from bunraku.generation.sampler import ROOT
 from bunraku.generation.verifier import Verdict, verify
@@ -53,6 +53,8 @@ class Candidate:
     script: Sequence[tuple[Clause, int]]  # its clauses with the frames that each lasts
     verdict: Verdict | None = None  # the claim of theirs that holds least; None where they make no claim
     captured: bool = False  # it starts from a captured example
+    origin: tuple[int, int] = (0, 0)  # its motion, and its number among that one's candidates
+    complete: bool = True  # the network has said its adaptation; it need not for what examples lead to the end
 
 
 def script_scores(
@@ -95,7 +97,7 @@ def choose(
     plainly said, more are drawn.
 
     Args:
-        draw: Draws candidates of motions, by the motion and the index of each.
+        draw: Draws candidates of motions, by the motion and the index of each, but for those that were drawn before.
         motions: How many there are.
         candidates: Of each, at a time.
         score: The ranker's scores, shape (M,).
@@ -106,12 +108,13 @@ def choose(
         rows = [motion for motion in wanted for _ in range(candidates)]
         indices = [attempt * candidates + index for _ in wanted for index in range(candidates)]
         drawn = draw(rows, indices)
-        for motion, candidate, cosine in zip(rows, drawn, score(drawn).tolist(), strict=True):
+        for candidate, cosine in zip(drawn, score(drawn).tolist() if drawn else (), strict=True):
+            motion = candidate.origin[0]
             total = cosine + WEIGHT * min(_agreement(candidate), ENOUGH) + CAPTURED * candidate.captured
             if motion not in best or total > best[motion][0]:
                 best[motion] = (total, candidate)
         wanted = [motion for motion in wanted if _agreement(best[motion][1]) < ENOUGH]
-        if not wanted:
+        if not wanted or not drawn:
             break
     return [best[motion][1] for motion in range(motions)]
 
@@ -159,8 +162,6 @@ MADE_UNTIL = 0
 """Step of the sampler down to which a gesture made by code stands for the network's prediction. The network has seen no
 gestures: from 100 on it already stills the hands of a person who claps.
 """
-STANDING, GOING_DOWN = 6, 14
-"""Frames for which a person who is about to sit or lie down still stands, and frames in which that is let go of."""
 
 
 class SamplingFields(TypedDict, total=False):
@@ -258,7 +259,7 @@ class SamplingSettings:
 def draw_candidates(
     texts: Texts, scripts: Sequence[Sequence[Clause]], noise: list[tuple[int, int]], how: SamplingSettings, loop: bool,
     path: GroundPath | None, examples: Sequence[tuple[GuidanceExample | None, GuidanceExample | None]],
-    critic: Critic | None = None,
+    critic: Critic | None = None, complete: bool = True,
 ) -> list[Candidate]:  # fmt: skip
     """One candidate for each script from its own noise, all in one batch.
 
@@ -272,6 +273,7 @@ def draw_candidates(
         examples: Examples that each starts from, and those of the gestures that are made at the same time; None for
             none.
         critic: Guides them towards their sentences; None for no guidance.
+        complete: Ask for the adaptation of what examples lead to the end, too: nothing else of it is the network's.
     """
     from bunraku.core.nn.layers import one_thread
     from bunraku.generation.composition import PartTrack, with_limbs
@@ -294,21 +296,18 @@ def draw_candidates(
     ways: list[np.ndarray] = []
     if path is not None:
         ways = [way_of(path, sum(own), model.config.fps, script) for own, script in zip(lengths, scripts, strict=True)]
-    stands = [path is None and not loop and "goes down" in script[0].traits for script in scripts]
-    held = None
-    if ways or any(stands):
-        own_ways = [ways[row] for row in owners] if ways else None
-        held = _held(own_ways, [stands[row] for row in owners], sizes, statistics, model.config.fps)
+    held = _held([ways[row] for row in owners], sizes, statistics, model.config.fps) if ways else None
 
     starts = [first for first, _ in examples] + [examples[track.motion][1] for track in tracks]
-    guide = _guided(starts, [lengths[row] for row in owners], sizes, statistics, loop)
+    guide = _guided(starts, [lengths[row] for row in owners], sizes, statistics, loop, complete or bool(tracks))
+    asked = [part.max() >= 0 for part in _split(guide[2], sizes)] if guide else [True] * len(sizes)
     classifier_guidance = None
     if critic is not None:
         clauses = [[clause.body.text for clause in script] for script in scripts]
         classifier_guidance = critic.guidance(model, clauses, lengths, sizes[: len(scripts)], guide, how.solver.steps)
 
     def refine(values: np.ndarray) -> np.ndarray:
-        parts = np.split(values, np.cumsum(sizes)[:-1])
+        parts = _split(values, sizes)
         for own, track in enumerate(tracks, len(scripts)):
             parts[own] = track.follow(parts[track.motion], parts[own])
         return np.concatenate([closed(part, model) for part in parts] if loop else parts)
@@ -334,7 +333,8 @@ def draw_candidates(
             features = with_limbs(features, gesture, timed)
         features = features[frames]
         said = script_verdict(features, timed, example is not None) if how.candidates > 1 and path is None else None
-        drawn.append(Candidate(features, part.adaptation[frames], timed, said, example is not None))
+        adaptation = part.adaptation[frames]
+        drawn.append(Candidate(features, adaptation, timed, said, example is not None, complete=asked[row]))
     return drawn
 
 
@@ -345,24 +345,14 @@ def way_of(path: GroundPath, frames: int, fps: float, script: Sequence[Clause]) 
 
 
 def _held(
-    ways: Sequence[np.ndarray] | None, stands: Sequence[bool], sizes: Sequence[int], statistics: FeatureStatistics,
-    fps: float,
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-    """Values in network units that are known beforehand, and which features these are: both (F, D). The root's
-    velocities where it follows a path; legs that stand in the first frames of a person who is about to sit or lie down.
-    """
+    ways: Sequence[np.ndarray], sizes: Sequence[int], statistics: FeatureStatistics, fps: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """The velocities of roots that follow paths, in network units, and which features these are: both (F, D)."""
     values, share = (np.zeros((sum(sizes), FEATURE_SIZE), np.float32) for _ in range(2))
-    pose, legs = standing_legs()
-    hold = np.concatenate([np.ones(STANDING), 1 - smooth_step(np.arange(1, GOING_DOWN) / GOING_DOWN)])
     start = 0
-    for row, size in enumerate(sizes):
-        if ways is not None:
-            values[start : start + len(ways[row]), :3] = root_velocities(ways[row], fps)
-            share[start : start + len(ways[row]), :3] = 1
-        if stands[row]:
-            first = slice(start, start + min(len(hold), size))
-            values[first, legs] = pose[legs]
-            share[first, legs] = hold[:size, None]
+    for way, size in zip(ways, sizes, strict=True):
+        values[start : start + len(way), :3] = root_velocities(way, fps)
+        share[start : start + len(way), :3] = 1
         start += size
     normalised = np.where(share > 0, statistics.normalise(values), 0).astype(np.float32)
     return normalised, share
@@ -370,10 +360,11 @@ def _held(
 
 def _guided(
     examples: Sequence[GuidanceExample | None], lengths: Sequence[list[int]], sizes: Sequence[int],
-    statistics: FeatureStatistics, loop: bool,
+    statistics: FeatureStatistics, loop: bool, complete: bool,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:  # fmt: skip
     """Motions that candidates start from, in network units, (F, D), how far, (F, 1), and down to which step of the
-    sampler, (F, 1); None without examples.
+    sampler, (F, 1); None without examples. What is led to the end does without the network unless it is to be
+    `complete`.
     """
     from bunraku.generation.sampler import LED_UNTIL
 
@@ -386,8 +377,14 @@ def _guided(
         if example is not None:
             guide = example.on(own, size, statistics, closed=loop)
             values[stop - size : stop], share[stop - size : stop, 0] = guide.values, guide.share
-            until[stop - size : stop, 0] = np.where(guide.made, MADE_UNTIL, LED_UNTIL)
+            to_the_end = not complete and bool((guide.made & (guide.share >= 1)).all())
+            until[stop - size : stop, 0] = -1 if to_the_end else np.where(guide.made, MADE_UNTIL, LED_UNTIL)
     return values, share, until
+
+
+def _split(values: np.ndarray, sizes: Sequence[int]) -> list[np.ndarray]:
+    """The time lines of motions with so many frames each, which lie one after the other."""
+    return np.split(values, np.cumsum(sizes)[:-1])
 
 
 def frames_of(seconds: Sequence[float], fps: float) -> list[int]:

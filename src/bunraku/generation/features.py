@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_MIRROR, HANDLE_NAMES, HANDLE_PARENTS, JOINT_COUNT, JOINT_NAMES
+from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_MIRROR, HANDLE_PARENTS, JOINT_COUNT, JOINT_NAMES
 from bunraku.core.body.reference import leg_length, reference_body
 from bunraku.core.geometry.curves import STANDS
 from bunraku.core.geometry.rotations import heading, matrix_from_6d, matrix_to_6d, matrix_y
@@ -199,16 +199,3 @@ class FeatureStatistics:
 def feature_mask(handles: np.ndarray) -> np.ndarray:
     """Which features these handles decide, shape (271,), bool: ten numbers for the root, nine for each other."""
     return np.concatenate([np.repeat(handles[:1], ROOT_SIZE), np.repeat(handles[1:], HANDLE_SIZE)])
-
-
-def standing_legs() -> tuple[np.ndarray, np.ndarray]:
-    """Features of the reference body's rest pose, shape (271,), and which of them say how it stands: the height and the
-    tilt of its root, hips, knees and ankles, shape (271,), bool.
-    """
-    still = np.broadcast_to(np.eye(3, dtype=np.float32), (2, HANDLE_COUNT, 3, 3))
-    nothing = np.zeros((2, HANDLE_COUNT, 3), np.float32)
-    pose = encode(HandleMotion(nothing, still, nothing[:, 0], still[:, 0]))[0]
-    legs = [name.removeprefix("left_").removeprefix("right_") in ("hip", "knee", "ankle") for name in HANDLE_NAMES]
-    mask = feature_mask(np.array(legs))
-    mask[3:ROOT_SIZE] = True
-    return pose, mask

@@ -101,15 +101,27 @@ def generate_motions(
             return None, None
         turn, drawn = (number, how.candidates) if led else (number - plain, how.candidates - plain)
         others = (attempt - 1) * drawn if attempt else None
-        first, meanwhile = (guidance.of(parts, noise[row], turn, others) for parts in (script, gestures))
-        return first, meanwhile
+        return guidance.of(script, noise[row], turn, others), guidance.of(gestures, noise[row], turn, others, True)
 
-    def draw(rows: list[int], indices: list[int]) -> list[Candidate]:
-        pairs = [(noise[row][0], noise[row][1] + _APART * index) for row, index in zip(rows, indices, strict=True)]
-        again = how if not any(index >= how.candidates for index in indices) else replace(how, progress=None)
-        examples = [example(row, index) for row, index in zip(rows, indices, strict=True)]
-        chosen_scripts = [scripts[row] for row in rows]
-        return draw_candidates(texts, chosen_scripts, pairs, again, loop, path, examples, guides)
+    before: list[tuple[int, GuidanceExample | None, GuidanceExample | None]] = []
+
+    def draw(rows: list[int], indices: list[int], complete: bool = False) -> list[Candidate]:
+        """Candidates, without those that would start from what one did before."""
+        origins, examples = [], []
+        for row, index in zip(rows, indices, strict=True):
+            start = example(row, index)
+            if complete or start == (None, None) or (row, *start) not in before:
+                origins.append((row, index))
+                examples.append(start)
+                before.append((row, *start))
+        if not origins:
+            return []
+        pairs = [(noise[row][0], noise[row][1] + _APART * index) for row, index in origins]
+        first = how.candidates == 1 or not (complete or any(index >= how.candidates for _, index in origins))
+        again = how if first else replace(how, progress=None)
+        chosen_scripts = [scripts[row] for row, _ in origins]
+        drawn = draw_candidates(texts, chosen_scripts, pairs, again, loop, path, examples, guides, complete)
+        return [replace(candidate, origin=origin) for candidate, origin in zip(drawn, origins, strict=True)]
 
     rows = list(range(len(scripts)))
     if how.candidates > 1:
@@ -121,13 +133,16 @@ def generate_motions(
                 return script_scores(networks.ranker, texts.ranked, motions, [candidate.script for candidate in drawn])
 
         chosen = choose(draw, len(scripts), how.candidates, score)
+        later = [candidate.origin for candidate in chosen if not candidate.complete]
+        for candidate in draw([row for row, _ in later], [index for _, index in later], True):
+            chosen[candidate.origin[0]] = candidate
         for missed in dict.fromkeys(
             verdict.missed for one in chosen if (verdict := one.verdict) and verdict.agreement < 0
         ):
             if how.note:
                 how.note(f"none of the motions that were drawn does all that was asked; the kept one misses: {missed}")
     else:
-        chosen = draw(rows, [0] * len(rows))
+        chosen = draw(rows, [0] * len(rows), True)
     of_body = how.of_body(model)
     motions = []
     for candidate, script in zip(chosen, scripts, strict=True):

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -27,11 +27,12 @@ from bunraku.generation.composition import (
 )
 from bunraku.generation.features import FEATURE_SIZE, FeatureStatistics, encode, feature_weights, mirror
 from bunraku.generation.pack import FPS, ExamplePack
-from bunraku.generation.retrieve import MOST_TIMES, Found, Retrieved, retrieve
+from bunraku.generation.retrieve import Found, Retrieved, retrieve
+from bunraku.generation.verifier import REST
 from bunraku.gestures.catalogue import STANDING, at_part
 from bunraku.gestures.interactions import interaction_gesture
 from bunraku.gestures.limb_gesture import in_stance, limb_gesture
-from bunraku.language.lexicon import goes_ahead, is_cyclic
+from bunraku.language.lexicon import goes_ahead, is_cyclic, lexicon
 from bunraku.language.phrasing import tells_all, unseen_word
 from bunraku.language.posing import AS_USUAL, Manner, Posing
 from bunraku.language.sentence import Clause
@@ -44,7 +45,6 @@ HURRY = 1.35
 TEMPO = (0.93, 1.08)  # factors between which a loop is drawn longer: two seeds of one example differ; chosen by eye
 # Chosen by eye on sheets of generated motion.
 UPRIGHT = 0.9  # of the root's axis, in a person who stands
-_LEAD = 10  # most frames of standing before an action that is done once: it begins within 0.7 s (`verifier`)
 CROUCH = 0.12  # height [m] by which a person who stands is lower at most
 AIRBORNE = 0.1  # height of the root over standing [m] from which on a body cannot stay
 GOES = 1.0  # speed [m/s] of a person who walks on
@@ -73,13 +73,22 @@ def fits_into(pack: ExamplePack, found: Found, frames: int) -> bool:
     return goes_on(pack, found) or pack.examples[found.number].frames * found.times <= HURRY * frames
 
 
+def fills(pack: ExamplePack, found: Found, frames: int) -> bool:
+    """Whether an example can last for so many frames, if its actions are of those that go on."""
+    example = pack.examples[found.number]
+    if example.made or goes_on(pack, found) or not all(map(is_cyclic, pack.said[found.number].actions)):
+        return True
+    ends = pack.features(found.number)[[0, -1], 3]
+    return bool(abs(ends[1] - ends[0]) <= CROUCH) or SLOWED * example.frames + REST * FPS >= frames
+
+
 def laid(
     pack: ExamplePack, found: Found, frames: int, statistics: FeatureStatistics, random: np.random.Generator,
     manner: Manner = AS_USUAL,
 ) -> Guide:  # fmt: skip
-    """An example at the wanted length: a loop is repeated or cut, an action that is done once is joined to standing, or
-    done faster. Where it neither rests nor can be joined, the frames before and after it are the sampler's own. A
-    gesture is performed anew, for so long.
+    """An example at the wanted length: a loop is repeated or cut, an action that is done once is done faster or slower,
+    joined to standing, and done again if a body would rest for too long. Where it neither rests nor can be joined, the
+    frames after it are the sampler's own. A gesture is performed anew, for so long.
 
     Args:
         pack: Of the example.
@@ -93,7 +102,10 @@ def laid(
     closed = manner.closed
     gesture = pack.gesture(found.number)
     if gesture is not None and found.detail is not None:
-        gesture = limb_gesture(found.detail) if isinstance(found.detail, Posing) else interaction_gesture(found.detail)
+        if isinstance(found.detail, Posing):
+            gesture = limb_gesture(found.detail)
+        else:  # the thing is then elsewhere
+            gesture, manner = interaction_gesture(found.detail), replace(manner, count=manner.count or 1)
     elif gesture is not None and found.part:
         gesture = at_part(gesture, found.part)
     stance = found.stance or manner.stance
@@ -119,20 +131,26 @@ def laid(
         features = features[late:] if late < len(features) - SHORTEST_LOOP else features
     # what the network may have seen as little of as the ranker, and what says the same, leads to the end
     made = np.full(frames, example.unranked or found.close)
-    if found.times > 1 and not closed:
-        features = repeated(features[: int(HURRY * frames / found.times)], found.times)
-    loop = _loop(pack, found)
-    if loop is None and found.times == 1 and not (closed or manner.lasts):
+    loop, times, period = _loop(pack, found), 1, frames
+    if loop is None and not (closed or manner.lasts):
         most = min(2 * _FADE, frames // 2)
         shorter = int(random.integers(most + 1))  # of two seeds one is slower
         slowed = SLOWED - (SLOWED - TEMPO[1]) * shorter / max(most, 1)
-        features = timed(features, frames - shorter, 1 if manner.count else MOST_TIMES, slowed)
+        times = found.times
+        if times == 1 and not manner.count:
+            times = times_in(frames, features, slowed, pack.said[found.number].actions)
+        if times > 1:  # the body rests after the last time as well, for about half as long
+            length = len(features) * slowed
+            rest = (frames - times * length - AROUND / 2) / (times - 0.5)
+            period = int(length + rest if rest > AROUND else frames / times) + _FADE
+        aim = frames - shorter if times == 1 else period
+        features = warped(features, int(np.clip(aim, len(features) / HURRY, len(features) * slowed)))
     if closed:
         share = np.full(frames, loop is not None, np.float32)
         features = features[:1].repeat(frames, axis=0) if loop is None else circled(features, loop, frames)
         return Guide(statistics.normalise(features).astype(np.float32), share, made)
-    if loop is None and len(features) > frames:
-        features = warped(features[: int(random.uniform(TEMPO[0], 1) * HURRY * frames)], frames)  # seeds differ
+    if loop is None and len(features) > period:
+        features = warped(features[: int(random.uniform(TEMPO[0], 1) * HURRY * period)], period)  # seeds differ
     if loop is not None:
         length = round(random.uniform(*TEMPO) * (len(features) - 1))
         loop = round(loop[0] * length / (len(features) - 1)), round(loop[1] * length / (len(features) - 1))
@@ -142,24 +160,22 @@ def laid(
         values = played(values, loop, frames)
         start = int(random.integers(len(values) - frames + 1))
         return Guide(values[start : start + frames], np.ones(frames, np.float32), made)
-    lead = min(int((frames - len(values)) * random.uniform(0.15, 0.5)), _LEAD)
-    first = last = "free"  # walks do not stand still before or after; the sampler goes on with them
-    if not manner.lasts:
-        first = _end(features[:END], values[:END], features[-1, 3], statistics, example.made)
-        last = _end(features[-END:], values[-END:], features[0, 3], statistics, example.made)
+    # walks do not stand still after it; the sampler goes on with them
+    last = "free" if manner.lasts else _end(features[-END:], values[-END:], features[0, 3], statistics, example.made)
     still = statistics.normalise(np.zeros(FEATURE_SIZE, np.float32))[:3]
     longer = values
-    if last != "free" and len(values) + AROUND < frames and pack.standing:
+    if last != "free" and len(values) + AROUND < period and pack.standing:
         eased = held(values, AROUND, still, EASE)
-        longer = _stood(pack, eased, frames, statistics, NEAR if last == "stays" else np.inf, example.made)
+        longer = _stood(pack, eased, period, statistics, NEAR if last == "stays" else np.inf, example.made)
+        times = times if len(longer) == period else 1  # what stays in another pose is not done again
+    elif last == "free" and times > 1:
+        times = max(round(frames / len(values)), 1)
+    longer = repeated(longer, times)[:frames]
     room = frames - len(longer)
-    lead = min(lead, room)
     share = np.ones(frames, np.float32)
-    if first != "stays":
-        share[:lead] = _rise(lead)
     if last != "stays":
-        share[frames - (room - lead) :] = _rise(room - lead)[::-1]
-    return Guide(held(held(longer[::-1], lead, still, EASE)[::-1], room - lead, still, EASE), share, made)
+        share[frames - room :] = smooth_step(np.clip(1 - (np.arange(room) + 1) / _FADE, 0, 1))
+    return Guide(held(longer, room, still, EASE), share, made)
 
 
 def _stood(
@@ -245,11 +261,6 @@ def _crouches(here: float, there: float) -> bool:
     return here < -CROUCH and there < here + CROUCH and max(here, there) > -3 * CROUCH
 
 
-def _rise(frames: int) -> np.ndarray:
-    """Shares of frames before something that is held: none, and a rise at the end."""
-    return smooth_step(np.clip(1 - (frames - np.arange(frames)) / _FADE, 0, 1)).astype(np.float32)
-
-
 def repeated(features: np.ndarray, times: int) -> np.ndarray:
     """A motion so many times in a row, each cross-faded into the next, shape (M, D)."""
     fade = min(_FADE, len(features) // 3)
@@ -259,20 +270,18 @@ def repeated(features: np.ndarray, times: int) -> np.ndarray:
     return out
 
 
-def timed(features: np.ndarray, frames: int, most: int, slowed: float = SLOWED) -> np.ndarray:
-    """A motion (N, D) that is done once, made to fill so many frames: as often as needed, at most `most` times, and
-    faster or slower by at most `HURRY` and `slowed`. What ends in a run, at another height or in another pose than it
-    began is done once.
+def times_in(frames: int, features: np.ndarray, slowed: float, actions: Collection[str]) -> int:
+    """How often a motion (N, D) is done in so many frames: as often as it fits if the lexicon says that its actions go
+    on; else as seldom as keeps a body that does it slowly from resting for longer than a motion may (`verifier.REST`).
+    Once, if it ends in a run or at another height than it began.
     """
-    first, last = features[0, 3:], features[-1, 3:]
+    length, rows = len(features), lexicon().actions
     goes = np.linalg.norm(features[-END:, 1:3], axis=1).mean() > GOES
-    if goes or abs(float(last[0] - first[0])) > CROUCH or pose_distance(first, last) > (ODD / 2) ** 2:
-        most = 1
-    fade = min(_FADE, len(features) // 3)
-    lengths = np.arange(1, most + 1) * (len(features) - fade) + fade
-    out = repeated(features, int(np.abs(np.log(lengths / frames)).argmin()) + 1)
-    length = int(np.clip(frames, len(out) / HURRY, len(out) * slowed))
-    return warped(out, length) if length != len(out) else out
+    if goes or abs(float(features[-1, 3] - features[0, 3])) > CROUCH:
+        return 1
+    once = any(rows[action].seconds for action in actions if action in rows)
+    times = math.ceil(frames / (slowed * length + REST * FPS)) if once else round(frames / length)
+    return max(min(times, int(HURRY * frames / length)), 1)
 
 
 def circled(features: np.ndarray, loop: tuple[int, int], frames: int) -> np.ndarray:
@@ -331,12 +340,9 @@ SHARED = 4
 """Seeds in a row among which the examples are dealt, so that no two of them have the same."""
 NEAREST = 3
 ALIKE = 1.0  # further distance of poses from the nearest up to which others may begin, too
-TRIED = 3  # examples that are considered for one
 LEFT = 0.35  # share of gestures that are done with the left hand where no side is said; chosen by eye
 SIDES = ("left", "right")
 PACES = {"slow": 0.72, "fast": 1.35}  # tempo of a gesture by its adverb; chosen by eye
-ODD = 4.9
-"""Distance from standing people's poses at which no motion begins; that of a kick at its height was measured as 4.8."""
 
 
 def dealt(scores: Sequence[float], seed: int) -> tuple[list[int], int]:
@@ -398,8 +404,9 @@ class GuidanceExamples:
         )
 
     def of(
-        self, script: Sequence[tuple[Clause, int]], noise: tuple[int, int], number: int, others: int | None = None
-    ) -> GuidanceExample | None:
+        self, script: Sequence[tuple[Clause, int]], noise: tuple[int, int], number: int, others: int | None = None,
+        meanwhile: bool = False,
+    ) -> GuidanceExample | None:  # fmt: skip
         """The examples that a candidate starts from; None where no clause has one.
 
         Args:
@@ -408,23 +415,29 @@ class GuidanceExamples:
             number: The candidate's number among those that start from one.
             others: How many of other seeds' examples were taken before, where none that starts from one of its own did
                 what was asked; None where these are its own.
+            meanwhile: They are done while something else goes on: gestures then do not end before it.
         """
         seed = (noise[0] % 2**63, noise[1] % 2**63)
         chosen: list[Found | None] = []
         for clause, frames in script:
             offered = self.retrieved(clause).found
             fitting = [one for one in offered if fits_into(self.pack, one, frames)] or offered
+            if clause.count is None:
+                fitting = [one for one in fitting if fills(self.pack, one, frames)] or fitting
             if chosen and chosen[-1] is not None:
                 fitting = self._following(chosen[-1], fitting)
             order, own = dealt([example.score for example in fitting], sum(seed))
             first = number % max(own, 1) if others is None else (own + others + number) % max(len(order), 1)
-            turn = [fitting[index] for index in order[first:] + order[:first]][:TRIED]
-            chosen.append(next((one for one in turn if not self._begins_oddly(one)), turn[0]) if turn else None)
+            chosen.append(fitting[order[first]] if order else None)
         if not any(chosen):
             return None
         hands = np.random.default_rng((*seed, number, 1))
         sided = [self._sided(clause, one, hands) for (clause, _), one in zip(script, chosen, strict=True)]
-        return GuidanceExample(self.pack, tuple(sided), (*seed, number), tuple(_manner(clause) for clause, _ in script))
+        manners = [_manner(clause) for clause, _ in script]
+        if meanwhile:
+            made = [one is not None and bool(self.pack.made[one.number]) for one in chosen]
+            manners = [replace(manner, lasts=manner.lasts or own) for manner, own in zip(manners, made, strict=True)]
+        return GuidanceExample(self.pack, tuple(sided), (*seed, number), tuple(manners))
 
     def _sided(self, clause: Clause, found: Found | None, random: np.random.Generator) -> Found | None:
         """A gesture with either hand, where the clause names no side and people use either."""
@@ -439,18 +452,6 @@ class GuidanceExamples:
         away = np.sqrt([float(pose_distance(self._pose(candidate, 0), end)) for candidate in fitting])
         order = np.argsort(away, kind="stable")[:NEAREST]
         return [fitting[index] for index in order[away[order] <= away.min(initial=np.inf) + ALIKE].tolist()]
-
-    def _begins_oddly(self, found: Found) -> bool:
-        """Whether a person who stands as an example begins is bent, as between two exercises, or has a leg far up."""
-        first = self.pack.features(found.number)[0]
-        if first[3] < -CROUCH or not len(self._standing):
-            return False
-        return bool(np.sqrt(pose_distance(self._standing, first[3:])).min() > ODD)
-
-    @functools.cached_property
-    def _standing(self) -> np.ndarray:
-        """Mean poses of the stretches of standing, shape (S, 268)."""
-        return np.array(list(self.pack.standing_poses.values()))
 
     def _pose(self, found: Found, frame: int) -> np.ndarray:
         features = self.pack.features(found.number)[[frame]]

@@ -79,16 +79,6 @@ class Example:
         return self.name.removeprefix(MADE).rpartition("_")[0].replace("_", " ") if self.made else ""
 
     @property
-    def idle(self) -> bool:
-        """Whether it is of a person who stands, shifts the weight and breathes."""
-        return self.name.endswith(IDLE)
-
-    @property
-    def busy(self) -> bool:
-        """Whether it is of a person who stands and uses the hands."""
-        return self.name.endswith(BUSY)
-
-    @property
     def stands(self) -> bool:
         """Whether gestures are made by the person in it."""
         return self.name.endswith((IDLE, BUSY))
@@ -155,31 +145,23 @@ class ExamplePack:
         """The gesture that stands for all that is done with things; none in a pack without it."""
         return tuple([index for index, action in enumerate(self.actions) if action == "handle"])
 
-    @functools.cached_property
-    def standing_poses(self) -> dict[int, np.ndarray]:
-        """Mean poses (268,) of stretches for others to be joined to, of people who stand on both legs."""
-        chosen = [index for index in self._standing_well if not self.examples[index].stands]
-        if not chosen:
-            return {}
-        return {
-            index: features[:, 3:].mean(axis=0)
-            for index, features in zip(chosen, _encoded_at_once(self, chosen), strict=True)
-        }
-
     @property
     def standing(self) -> tuple[int, ...]:
-        """Indices of these."""
-        return tuple(self.standing_poses)
+        """Indices of stretches for others to be joined to, of people who stand on both legs."""
+        return tuple([index for index in self._standing_well if not self.examples[index].stands])
 
     @functools.cached_property
     def idles(self) -> tuple[SkeletalMotion, ...]:
         """People who stand; gestures are made by them."""
-        return tuple(_skeletal(self, [index for index in self._standing_well if self.examples[index].idle]))
+        return self._people(IDLE)
 
     @functools.cached_property
     def busy(self) -> tuple[SkeletalMotion, ...]:
         """People who stand and use their hands; gestures take their legs, trunk and head."""
-        return tuple(_skeletal(self, [index for index in self._standing_well if self.examples[index].busy]))
+        return self._people(BUSY)
+
+    def _people(self, ending: str) -> tuple[SkeletalMotion, ...]:
+        return tuple(_skeletal(self, [one for one in self._standing_well if self.examples[one].name.endswith(ending)]))
 
     @functools.cached_property
     def _standing_well(self) -> Sequence[int]:

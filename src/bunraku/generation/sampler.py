@@ -8,6 +8,7 @@ loop is the same on a circle.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -219,7 +220,8 @@ class Steering:
     Args:
         classifier_guidance: Changes the network's prediction (F, D) at a step.
         guide: The start of the motion, which replaces predictions while the noise is strong, how far, and down to which
-            step, at most `LED_UNTIL`, shapes (F, D), (F, 1) and (F, 1).
+            step, at most `LED_UNTIL`, shapes (F, D), (F, 1) and (F, 1). Where it leads down to less than 0, the network
+            is not asked, and says no adaptation.
         refine: Changes the predicted x0 (F, D).
         known: Values to keep and how far, shapes (F, D) and (F, D) or (F, 1).
     """
@@ -271,10 +273,17 @@ class Predictor:
         self.model, self.steering = model, steering
         self.visited = list(model.visited) or sampling_steps(solver.steps)
         guide = steering.guide
-        order = sorted(windows, key=lambda window: len(window.frames))  # a group pads to its longest
-        led_whole = [guide is not None and bool((guide[1][window.frames] >= 1).all()) for window in order]
+        until = [TRAINING_STEPS] * len(windows)
+        if guide is not None:
+            _, share, down_to = guide
+            until = [
+                int(down_to[window.frames].max()) if (share[window.frames] >= 1).all() else TRAINING_STEPS
+                for window in windows
+            ]
+        seen = [(window, led) for window, led in zip(windows, until, strict=True) if led >= 0]
+        seen.sort(key=lambda pair: (-pair[1], len(pair[0].frames)))  # a group pads to its longest
         examples = None
-        if model.config.examples:
+        if model.config.examples and seen:
             from bunraku.generation.retrieve import example_bank
 
             examples = example_bank(model.config, FeatureStatistics(model.mean, model.std))(text)
@@ -285,8 +294,8 @@ class Predictor:
             solver = replace(solver, guidance=1.0)
         self._groups = [
             _Group(model, text, some[start : start + GROUP], mesh_features, examples, solver, total, led)
-            for led in (False, True)
-            for some in [[window for window, own in zip(order, led_whole, strict=True) if own == led]]
+            for led, pairs in itertools.groupby(seen, key=lambda pair: pair[1])
+            for some in [[window for window, _ in pairs]]
             for start in range(0, len(some), GROUP)
         ]
         self.adaptation = np.zeros((frames, model.config.handles, 3), np.float32)
@@ -295,7 +304,7 @@ class Predictor:
         """x0 (F, D) from x_t on the time line (F, D)."""
         x0, final = np.zeros_like(x), step == self.visited[-1]
         for group in self._groups:
-            if group.led and step >= LED_UNTIL and not final:
+            if step >= group.until and not final:
                 continue  # whatever the network says, the guide overwrites it
             values, offsets = group.predict(self.model, x, step, final)
             x0 += group.laid(values)
@@ -317,14 +326,14 @@ class Predictor:
 
 class _Group:
     """Windows that go through the denoiser together, with what does not depend on the step. A guide leads all of a
-    group in all of their frames, or none.
+    group in all of their frames down to one step.
     """
 
     def __init__(
         self, model: Denoiser, text: TextBatch, windows: Sequence[Window], mesh_features: np.ndarray | None,
-        examples: RetrievedExamples | None, solver: Solver, total: np.ndarray, led: bool,
+        examples: RetrievedExamples | None, solver: Solver, total: np.ndarray, until: int,
     ):  # fmt: skip
-        self.led = led
+        self.until = until
         count, longest = len(windows), max(len(window.frames) for window in windows)
         self.guidance, self.rescale = solver.guidance, solver.rescale
         self.twice = 1 if solver.guidance == 1 else 2

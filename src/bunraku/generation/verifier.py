@@ -115,7 +115,7 @@ BEGUN = 0.7  # s until a motion has begun; of the same 144 takes, 1 % then began
 _LATE = 0.8  # s later, nothing of the claim is left; the same
 _LIVELY = 0.4  # m/s, mean speed of the body's points in a slow walk, from which on any motion has begun
 _DONE = 0.3  # m/s, of the fastest point in what is done once, slowly; chosen by eye
-_REST = 1.2  # s that a motion may rest at its end; people who watched takes called 1.5 s idle
+REST = 1.2  # s that a motion may rest at its end; people who watched takes called 1.5 s idle
 _CALM = 0.2  # share of the highest speed below which a body rests
 _FLAT = 0.3  # m over the ground, below which the ankles of a body are that lies flat
 _STAYS = 0.6  # m that a person who only uses the arms or the head may go
@@ -271,7 +271,7 @@ def _still_feet(clause: Clause) -> bool:
     """Whether a clause speaks of the arms and the head alone."""
     rows = lexicon().actions
     known = [rows[action] for action in clause.actions if action in rows]
-    return bool(known) and all(row.gesture or row.part in ("arms", "head", "arms and head") for row in known) and not (
+    return bool(known) and all(row.part in ("arms", "head", "arms and head") for row in known) and not (
         clause.locomotion or "goes" in clause.traits or clause.moves
     )  # fmt: skip
 
@@ -306,7 +306,10 @@ def _stays_down(clause: Clause, track: Track) -> float | None:
     """A person who lies down, falls or dies is down at the end, and then no shin is in the air."""
     if not clause.actions or not stays_down(clause.actions[-1]) or "gets up" in clause.traits or clause.moves:
         return None
-    down = (-_ends(track)[1] - _SEAT) / _CLEAR
+    first, height = _ends(track)
+    down = (-height - _SEAT) / _CLEAR
+    if "goes down" in clause.traits:
+        down = min(down, (first + _SEAT) / _CLEAR)
     last = lexicon().actions[clause.actions[-1]]
     if not {clause.actions[-1], last.like} & {"lie", "fall"}:
         return down
@@ -349,7 +352,7 @@ def _fills(clause: Clause, track: Track) -> float | None:
         return None
     speed = _speed(track)
     rest = (len(speed) - 1 - np.flatnonzero(speed >= _CALM * speed.max())[-1]) / track.fps
-    return 1 - max(float(rest) - _REST, 0) / _REST
+    return 1 - max(float(rest) - REST, 0) / REST
 
 
 CLAIMS = (

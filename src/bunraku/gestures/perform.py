@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -84,7 +85,7 @@ class Variation:
     pauses: float = 0.2  # share of the times after which there is a pause
     pause: tuple[float, float] = (0.15, 0.6)  # its shortest and longest [s]
     before: float = 1.0  # longest wait before it [s]
-    after: float = 1.2  # the same after it
+    after: float = 1.2  # the same after it, from which on a gesture is made again
     hurry: float = 1.35  # factor by which it is sped up at the most to fit in
 
 
@@ -253,13 +254,20 @@ def _times_of(
     if repeat is None and gesture.cycle is not None and not manner.count:
         return _cycles(gesture, span, tempo, random, manner), True
     if repeat is None:
-        count = manner.count if manner.count and gesture.counted else 1
+        if gesture.onward is None and not manner.count:
+            keys = _prolonged(keys, tempo * (span - variation.after) - keys[-1][0])
+        again = min(
+            span / (gesture.seconds / tempo + variation.after), variation.hurry * tempo * span / gesture.seconds - 1
+        )
+        count = manner.count or max(math.ceil(again), 1)
+        count = count if gesture.counted else 1
         tempo = max(tempo, min(count * gesture.seconds / span, variation.hurry * tempo))
         parts: list[_Part] = []
         start = 0.0
-        for _ in range(count):
+        for number in range(count):
             timed = keys if gesture.steps else _held(keys, random, variation)
-            parts.append((timed, start, tempo, size()))
+            onward = [number * shift for shift in gesture.onward or (0, 0, 0)]
+            parts.append(([(time, moved(pose, onward)) for time, pose in timed], start, tempo, size()))
             start += timed[-1][0] / tempo + random.uniform(*variation.pause)
         return parts, False
     head, stop = [key for key in keys if key[0] < repeat.start - 1e-6], repeat.stop
@@ -270,7 +278,7 @@ def _times_of(
         count = max(round(span * tempo / repeat.period), 1)
         head, tail = [], [(stop, moved(once[0][1], [repeat.times * shift for shift in repeat.drift]))]
     around = sum(part[-1][0] - part[0][0] for part in (head + once[:1], tail) if len(part) > 1)
-    finishes = bool(tail) and (bool(manner.count) or random.random() < 0.6)
+    finishes = bool(tail) and (bool(manner.count) or (not manner.lasts and random.random() < 0.6))
     pauses = variation.pauses if head and not manner.closed else 0.0
     if not manner.closed:
         room = span - (around if finishes else 0) / tempo - (random.uniform(0, variation.after) if finishes else 0)
@@ -300,6 +308,17 @@ def _times_of(
     elif count:
         parts.append(([(0.0, moved(once[0][1], [count * shift for shift in repeat.drift]))], start, tempo, 1.0))
     return parts, endless
+
+
+def _prolonged(keys: Sequence[Key], more: float) -> Sequence[Key]:
+    """Keys whose longest pose, but for the first, is held for `more` seconds longer, as the crouch of a landing."""
+    start, best, last = 1, 0.0, len(keys)
+    for index in range(2, len(keys)):
+        if keys[index][1] != keys[start][1]:
+            start = index
+        elif keys[index][0] - keys[start][0] > best:
+            best, last = keys[index][0] - keys[start][0], index
+    return [(moment + max(more, 0) * (index >= last), pose) for index, (moment, pose) in enumerate(keys)]
 
 
 def _held(keys: Sequence[Key], random: np.random.Generator, variation: Variation) -> list[Key]:

@@ -73,6 +73,12 @@ Key = tuple[float, Pose]
 """A moment [s] and the pose that is reached then."""
 
 
+SAME = 0.12
+"""Distance of hands, feet or hips up to which two poses are the same [m]. Of 37 gestures that are done once and end in
+another pose than they begin, 16 differ by .09 at the most and 21 by .15 or more.
+"""
+
+
 @dataclass(frozen=True)
 class Repeat:
     """Which of a gesture's keys are one time of what is done again and again."""
@@ -112,7 +118,19 @@ class Gesture:
     @property
     def counted(self) -> bool:
         """Whether it can be done a number of times: its times are known, or it ends as it begins."""
-        return self.repeat is not None or (self.cycle is None and self.keys[0][1] == self.keys[-1][1])
+        return self.repeat is not None or (self.cycle is None and self.onward is not None)
+
+    @property
+    def onward(self) -> Vector | None:
+        """How far on it ends [m], in the pose in which it begins, as x, y and z of `Repeat`; None in another pose."""
+        (_, first), (_, last) = self.keys[0], self.keys[-1]
+        x, y, z = (end - start for start, end in zip(first.hips, last.hips, strict=True))
+        there = moved(first, (x, 0.0, z))
+        limbs = [math.dist(getattr(there, side).palm, getattr(last, side).palm) for side in ("right", "left")]
+        limbs += [
+            math.dist(getattr(there, foot).ankle, getattr(last, foot).ankle) for foot in ("right_foot", "left_foot")
+        ]
+        return None if max(*limbs, abs(y)) > SAME or abs(last.turn - first.turn) > 1 else (x, 0.0, z)
 
 
 def again(

@@ -151,6 +151,11 @@ class Swings(Stage, name="swings"):
     unlike: float = 3.0  # factor between both beyond which they do different things, as in a blow with a paw
     percent: float = 5.0  # share of the frames beyond the swing's ends, on each side
     most: float = 1.8  # factor by which a swing is made larger or smaller at the most
+    # no leg that goes to and fro swings farther, or is farther back or ahead, than the 48 of twelve animals of 0 A.D. that
+    # run [rad]
+    widest: float = float(np.radians(90))
+    back: float = float(np.radians(-55))
+    ahead: float = float(np.radians(47))
     rounds: int = 4  # the factors are found in turns, since a leg's angle is no linear function of its parts'
 
     def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
@@ -173,7 +178,9 @@ class Swings(Stage, name="swings"):
         ratio = max(swings) / max(min(swings), 1e-9)
         if min(swings) < self.least or ratio > self.unlike or not self._goes_on(angles, fps):
             return
-        swing, middle = float(np.sqrt(swings[0] * swings[1])), float(np.mean([one.mean() for one in angles]))
+        swing = min(float(np.sqrt(swings[0] * swings[1])), self.widest)
+        ends = self.back + swing / 2, self.ahead - swing / 2
+        middle = float(np.clip(np.mean([one.mean() for one in angles]), *ends))
         for leg, swing_of_leg in zip(pair, swings, strict=True):
             factor, turned = 1.0, rotations
             for _ in range(self.rounds):
