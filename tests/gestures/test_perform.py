@@ -70,6 +70,13 @@ def test_what_is_done_once_is_done_again_where_a_number_is_said():
     assert (np.diff(up.astype(int)) == 1).sum() == 2
 
 
+def test_a_throw_is_made_again_from_where_it_ended_where_a_body_would_stand_idle():
+    once, filled, landing = (world(*how) for how in (("pitch", 3, 80), ("pitch", 3, 140), ("land from a fall", 3, 140)))
+    assert once[-1, 0, 2] - once[0, 0, 2] < 0.8 and filled[-1, 0, 2] - filled[0, 0, 2] > 1
+    assert np.abs(np.diff(filled[:, 0, 2])).max() < 0.2
+    assert (landing[:, 0, 1] < 0.75).mean() > 0.4  # a crouch is held in its place
+
+
 @pytest.mark.parametrize("name", ["clap", "wave", "sit", "salute", "knock", "nod"])
 def test_no_two_are_alike_and_the_same_seed_gives_the_same(name):
     first, again, other = (world(name, seed) for seed in (1, 1, 2))

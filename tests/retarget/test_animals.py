@@ -154,3 +154,10 @@ def test_only_what_was_made_for_its_own_kind_on_four_legs_is_touched(dog):
     body = reference_body()
     person = Anatomy.of(body.character(), body.handles)
     assert not Swings().applies(Fitting.of(limping, person), person)
+
+
+def test_no_leg_swings_farther_than_those_of_running_animals(dog):
+    kicking = walk_of_four_legs(dict.fromkeys(("left_shoulder", "right_shoulder", "left_hip", "right_hip"), 1.1))
+    before, after = (gaits(kicking, dog, stages) for stages in (replace(PLAIN, swings=False), PLAIN))
+    for one, other in zip(before, after, strict=True):
+        assert min(one.left, one.right) > 1.2 * max(other.left, other.right)

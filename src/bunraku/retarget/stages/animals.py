@@ -151,8 +151,8 @@ class Swings(Stage, name="swings"):
     unlike: float = 3.0  # factor between both beyond which they do different things, as in a blow with a paw
     percent: float = 5.0  # share of the frames beyond the swing's ends, on each side
     most: float = 1.8  # factor by which a swing is made larger or smaller at the most
-    # no leg that goes to and fro swings farther, or is farther back or ahead, than the 48 of twelve animals of 0 A.D. that
-    # run [rad]
+    # No leg that goes to and fro swings farther, or is farther back or ahead [rad], than the 48 of twelve animals of
+    # 0 A.D. that run.
     widest: float = float(np.radians(90))
     back: float = float(np.radians(-55))
     ahead: float = float(np.radians(47))
