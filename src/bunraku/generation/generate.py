@@ -107,7 +107,8 @@ def generate_motions(
 
     def draw(rows: list[int], indices: list[int], complete: bool = False) -> list[Candidate]:
         """Candidates, without those that would start from what one did before."""
-        origins, examples = [], []
+        origins: list[tuple[int, int]] = []
+        examples: list[tuple[GuidanceExample | None, GuidanceExample | None]] = []
         for row, index in zip(rows, indices, strict=True):
             start = example(row, index)
             if complete or start == (None, None) or (row, *start) not in before:

@@ -310,7 +310,7 @@ def _times_of(
     return parts, endless
 
 
-def _prolonged(keys: Sequence[Key], more: float) -> Sequence[Key]:
+def _prolonged(keys: Sequence[Key], more: float) -> tuple[Key, ...]:
     """Keys whose longest pose, but for the first, is held for `more` seconds longer, as the crouch of a landing."""
     start, best, last = 1, 0.0, len(keys)
     for index in range(2, len(keys)):
@@ -318,7 +318,7 @@ def _prolonged(keys: Sequence[Key], more: float) -> Sequence[Key]:
             start = index
         elif keys[index][0] - keys[start][0] > best:
             best, last = keys[index][0] - keys[start][0], index
-    return [(moment + max(more, 0) * (index >= last), pose) for index, (moment, pose) in enumerate(keys)]
+    return tuple([(moment + max(more, 0) * (index >= last), pose) for index, (moment, pose) in enumerate(keys)])
 
 
 def _held(keys: Sequence[Key], random: np.random.Generator, variation: Variation) -> list[Key]:
