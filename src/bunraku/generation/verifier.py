@@ -308,7 +308,7 @@ def _stays_down(clause: Clause, track: Track) -> float | None:
         return None
     first, height = _ends(track)
     down = (-height - _SEAT) / _CLEAR
-    if "goes down" in clause.traits:
+    if "goes down" in clause.traits and "sits" not in clause.traits:
         down = min(down, (first + _SEAT) / _CLEAR)
     last = lexicon().actions[clause.actions[-1]]
     if not {clause.actions[-1], last.like} & {"lie", "fall"}:
