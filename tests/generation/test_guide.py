@@ -388,10 +388,8 @@ def test_a_thing_goes_through_its_places_or_is_picked_up_as_captured(networks):
         ("scratches the head", "gesture_scratch", ""),
         ("slaps", "gesture_slap", ""),
         ("duck quickly", "gesture_duck", ""),
-        ("push door", "gesture_push", ""),
-        ("looks up at the sky", "gesture_look_up", ""),
         ("balances on one leg", "gesture_balance", ""),
-        ("a person does a sit-up, holding their head with both hands", "gesture_sit-up", ""),
+        ("a person does sit-ups", "gesture_sit-up", ""),
         ("tie shoelaces", "gesture_tie_shoes", ""),
     ],
 )
@@ -460,7 +458,7 @@ def test_what_a_clause_adds():
         "scratches the chin": ("chin",), "sits while crossing legs": ("sits", "legs"), "claps happily": (),
         "waves at a friend": (), "a person applauds": (), "hugs somebody": (), "flexes both arms": (),
         "waves with the foot": ("foot",), "eats with the left hand": (), "does a spin": (),
-        "does a sit-up, holding the head with both hands": ("head", "hands"),
+        "does sit-ups, holding the head with both hands": ("head", "hands"),
         "does sit-ups holding a ball": ("holding",),
     }  # fmt: skip
     assert {text: clause_of(text).added for text in added} == added

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
 from bunraku.language.lexicon import lexicon, words_of
+from bunraku.language.phrasing import body_stems
+from bunraku.language.vocabulary import stems
 
 
 class Contact(NamedTuple):
@@ -137,6 +139,9 @@ def interaction_of(text: str) -> Interaction | None:
             return None
     fields, height = surest.fields, float(surest.fields.get("height", 0.0))
     if kind == "deed":
+        words, grammar = set(words_of(text)[0]), lexicon().grammar
+        if not words & grammar["things"] and body_stems().intersection(stems(sorted(words - grammar["hands"]))):
+            return None  # the own body is touched
         way = fields.get("direction", "")
         hands, surface = fields.get("side", "one"), fields.get("surface", "front")
         return Contact(name, hands, height, surface, way if way in ("left", "right") else "")
