@@ -7,7 +7,7 @@ import { Apparel } from "./apparel";
 import { bytes } from "./api";
 import { Correct } from "./correct";
 import { Legend, Parts } from "./parts";
-import { about, attempt, change, character, characters, colouring, correcting, doc, running, weightOf } from "./state";
+import { about, attempt, change, character, characters, colouring, correcting, doc, running, unfolded, weightOf } from "./state";
 import { Thumbs } from "./thumbs";
 import type { Character } from "./types";
 
@@ -170,7 +170,9 @@ const body = signal(false);
 
 export function Characters() {
   const motion = useRef<HTMLInputElement>(null);
+  const chosen = useRef<HTMLLIElement>(null);
   const now = character.value;
+  useEffect(() => chosen.current?.scrollIntoView({ block: "nearest" }), [now?.id, unfolded.value]);
   return (
     <section class="cast" aria-label="characters">
       <div class="panel">
@@ -179,7 +181,7 @@ export function Characters() {
         </p>
         <ul class="list">
           {characters.value.map((one) => (
-            <li key={one.id} class={one.id === doc.value.character ? "chosen" : ""}>
+            <li key={one.id} ref={one.id === doc.value.character ? chosen : undefined} class={one.id === doc.value.character ? "chosen" : ""}>
               <button class="name pictured" aria-pressed={one.id === doc.value.character} onClick={() => select(one.id)}>
                 <Picture one={one} />
                 <span>{one.name}</span>

@@ -6,7 +6,7 @@ import { download, saveProject } from "./actions";
 import { beside } from "./modal";
 import { compared } from "./stage";
 import { about, character, comparing, ownTakes, take } from "./state";
-import { titleOf } from "./takes";
+import { titleOf, whichOf } from "./takes";
 
 export const exporting = signal(false);
 
@@ -119,7 +119,7 @@ function ExportDialog() {
                         onChange={(event) => setChosen(event.currentTarget.checked ? [...chosen, one.id] : chosen.filter((id) => id !== one.id))}
                       />
                       <span>
-                        {titleOf(one)} <small>{one.seconds?.toFixed(1)} s</small>
+                        {titleOf(one)} <small>{whichOf(one)}</small>
                       </span>
                     </label>
                   </li>

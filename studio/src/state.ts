@@ -31,6 +31,10 @@ export const drawing = signal(false);
 /** Which tab is open beside the stage, and on a phone what lies over it. */
 export const side = signal<"characters" | "clips">("characters");
 export const sheet = signal<"" | "characters" | "clips" | "takes" | "time">("");
+/** Whether the tools that direct a take are shown, and the row that selects a stretch of it; rows of pins and poses are
+ * there where there is something in them.
+ */
+export const unfolded = signal(false);
 /** Whether hair and clothes are being painted on the mesh, and how. */
 export const painting = signal(false);
 /** Whether joints and parts of the body are being corrected. */

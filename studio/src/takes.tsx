@@ -34,6 +34,13 @@ export const titleOf = (one: Take): string =>
       ? `${one.how === "mirror" ? "mirrored" : "cut"} · ${one.script.map((part) => part.clip ?? part.text).join("; ")}`
       : one.script.map((part) => part.clip?.replaceAll("-", " ") ?? part.text).join("; "));
 
+/** What distinguishes a take from others of the same title. */
+export function whichOf(one: Take): string {
+  const origin = one.how === "transfer" ? "from a file" : one.how === "live" ? "played live" : `variation ${one.seed}`;
+  const stiff = one.stiffness ? ` · ${factor(one.stiffness)} times as stiff` : "";
+  return `${origin} · ${one.seconds?.toFixed(1)} s${stiff}`;
+}
+
 function Row({ one }: { one: Take }) {
   const chosen = one.id === doc.value.take;
   const job = running.value.find((each) => each.about.takes?.includes(one.id));
@@ -43,7 +50,7 @@ function Row({ one }: { one: Take }) {
         {titleOf(one)}
         <small>
           {one.state === "done"
-            ? `${one.how === "transfer" ? "from a file" : one.how === "live" ? "played live" : `variation ${one.seed}`} · ${one.seconds?.toFixed(1)} s${one.stiffness ? ` · ${factor(one.stiffness)} times as stiff` : ""}`
+            ? whichOf(one)
             : one.error || (job ? `${job.stage || one.state} ${Math.round(job.done * 100)} %` : one.state)}
         </small>
         {job && <progress max={1} value={job.done} />}

@@ -1,17 +1,11 @@
 // Time: sentences with edges to drag, the span that changes, pinned poses, hands and feet, and where we are.
 
 import { useRef } from "preact/hooks";
-import { signal } from "@preact/signals";
 import { addClip, bend } from "./actions";
 import { clipOf, DRAGGED } from "./library";
 import { blocksOf, fromFile, inRange, readPath } from "./script";
 import { seconds as shownSeconds } from "./stage";
-import { change, character, doc, drawing, follow, playing, speed, take, time, total } from "./state";
-
-/** Whether the tools that direct a take are shown, and the row that selects a stretch of it; rows of pins and poses are
- * there where there is something in them.
- */
-const unfolded = signal(false);
+import { change, character, doc, drawing, follow, playing, speed, take, time, total, unfolded } from "./state";
 
 const PARTS: Record<string, string> = {
   left_hand: "left hand",

@@ -522,9 +522,18 @@ def test_undo_takes_back_the_words_and_the_path_with_the_take(page):
     assert page.page.input_value("#sentence") == before[1] and page.value("studio.doc.value.path") == []
 
 
-def test_directing_opens_one_row(page):
+def test_directing_opens_one_row_and_cuts_nothing_off(page):
+    made = page.studio.sample("mushroom")["id"]
+    page.value(f"studio.change('', {{ character: '{made}' }})")
+    page.until("document.querySelector('.cast .chosen')?.textContent.includes('mushroom')")
     page.page.click("#fold")
     assert page.page.locator(".row.thin").count() == 1
+    row, side = (page.page.locator(name).bounding_box() for name in (".cast .chosen", "aside.left"))
+    assert side["y"] <= row["y"] and row["y"] + row["height"] <= side["y"] + side["height"]
+    page.page.click("#draw")
+    page.page.fill("#path", "0,0 0.4,0.9 1.2,1.6 2.4,1.8 3.4,1.4")
+    assert page.value("(({ scrollWidth, clientWidth }) => scrollWidth <= clientWidth)(document.getElementById('path'))")
+    page.studio.ask("DELETE", f"/api/characters/{made}")
 
 
 def test_what_cannot_be_opened_is_said(page, tmp_path):
@@ -744,7 +753,7 @@ def test_several_takes_become_the_clips_of_one_file(brief, tmp_path):
     page = brief
     page.type("jumps")
     page.page.click("#export")
-    page.page.check("dialog .list li:has-text('waves 0.5 s') >> nth=0 >> input")
+    page.page.check("dialog .list li:has-text('waves variation') >> nth=0 >> input")
     page.page.fill("#fps", "60")
     with page.page.expect_download() as found:
         page.page.click("#write")
