@@ -32,7 +32,7 @@ from bunraku.generation.verifier import REST
 from bunraku.gestures.catalogue import STANDING, at_part
 from bunraku.gestures.interactions import interaction_gesture
 from bunraku.gestures.limb_gesture import in_stance, limb_gesture
-from bunraku.language.lexicon import goes_ahead, is_cyclic, lexicon
+from bunraku.language.lexicon import goes_ahead, is_cyclic, lexicon, stays_down
 from bunraku.language.phrasing import tells_all, unseen_word
 from bunraku.language.posing import AS_USUAL, Manner, Posing
 from bunraku.language.sentence import Clause
@@ -76,7 +76,8 @@ def fits_into(pack: ExamplePack, found: Found, frames: int) -> bool:
 def fills(pack: ExamplePack, found: Found, frames: int) -> bool:
     """Whether an example can last for so many frames, if its actions are of those that go on."""
     example = pack.examples[found.number]
-    if example.made or goes_on(pack, found) or not all(map(is_cyclic, pack.said[found.number].actions)):
+    goes = all(is_cyclic(action) and not stays_down(action) for action in pack.said[found.number].actions)
+    if example.made or not goes or goes_on(pack, found):
         return True
     ends = pack.features(found.number)[[0, -1], 3]
     return bool(abs(ends[1] - ends[0]) <= CROUCH) or SLOWED * example.frames + REST * FPS >= frames
