@@ -139,7 +139,7 @@ class _Changed(Mapping[str, np.ndarray]):
         if change is None:
             return matrix
         up, down = change
-        changed = up.astype(np.float32) @ down.astype(np.float32)
+        changed: np.ndarray = up.astype(np.float32) @ down.astype(np.float32)
         changed += matrix
         return changed
 

@@ -381,7 +381,7 @@ class Weights:
         """The linear layer of this name; its matrix lies as the product reads it."""
         stored = self._stored(f"{name}.weight", width_out, width_in)
         # turned and converted at once, which takes a third of the time of one after the other
-        matrix = np.ascontiguousarray(stored.T, np.float32 if stored.dtype == np.float16 else stored.dtype)
+        matrix = np.ascontiguousarray(stored.T, np.dtype(np.float32) if stored.dtype == np.float16 else stored.dtype)
         return Linear(matrix, self.array(f"{name}.bias", width_out) if bias else None)
 
     def norm(self, name: str, width: int, epsilon: float = 1e-5) -> Norm:
