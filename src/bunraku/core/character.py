@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -11,22 +10,12 @@ import numpy as np
 
 from bunraku.core.avatars import MmdModel, VrmModel
 from bunraku.core.geometry.surface import vertex_areas
-from bunraku.core.motion import frozen_array
+from bunraku.core.motion import FrozenArrays
 from bunraku.errors import CharacterError
 
 
-class _HasArrays:
-    def _freeze(self, what: str, fields: Mapping[str, tuple[tuple[int | None, ...], Any]]) -> None:
-        """Put read-only arrays of these shapes and types (`frozen_array`) in place of fields, each called "`what`
-        field" in errors.
-        """
-        for name, (shape, dtype) in fields.items():
-            array = frozen_array(getattr(self, name), shape, f"{what} {name}".strip(), dtype)
-            object.__setattr__(self, name, array)
-
-
 @dataclass(frozen=True)
-class Rig(_HasArrays):
+class Rig(FrozenArrays):
     """The skeleton and skin of a file.
 
     Args:
@@ -51,7 +40,7 @@ class Rig(_HasArrays):
     def __post_init__(self) -> None:
         count = len(self.names)
         object.__setattr__(self, "names", tuple(self.names))
-        self._freeze("rig", {
+        self.freeze_fields("rig", {
             "parents": ((count,), np.int64), "transforms": ((count, 4, 4), np.float64),
             "indices": ((None, None), np.int32), "weights": (np.shape(self.indices), np.float32),
         })  # fmt: skip
@@ -73,7 +62,7 @@ class Rig(_HasArrays):
 
 
 @dataclass(frozen=True)
-class Character(_HasArrays):
+class Character(FrozenArrays):
     """A rest-pose triangle mesh, with the rig of its file where it has one.
 
     Args:
@@ -109,7 +98,7 @@ class Character(_HasArrays):
         return f"<Character {self.name!r}: {len(self.vertices):,} vertices{bones}>"
 
     def __post_init__(self) -> None:
-        self._freeze("", {"vertices": ((None, 3), np.float32), "faces": ((None, 3), np.int64)})
+        self.freeze_fields("", {"vertices": ((None, 3), np.float32), "faces": ((None, 3), np.int64)})
         count = len(self.vertices)
         if count == 0:
             raise CharacterError(f"{self.name}: the mesh is empty; export it again with its vertices")
@@ -130,7 +119,7 @@ class Character(_HasArrays):
         if float(np.ptp(self.vertices, axis=0).max()) <= 0:
             raise CharacterError(f"{self.name}: all vertices are at one point; there is nothing to animate")
         if self.colors is not None:
-            self._freeze("", {"colors": ((count, 3), np.uint8)})
+            self.freeze_fields("", {"colors": ((count, 3), np.uint8)})
         if self.rig is not None and len(self.rig.indices) != count:
             raise CharacterError(
                 f"{self.name}: the rig weights {len(self.rig.indices)} vertices but the mesh has {count}"
@@ -166,7 +155,7 @@ class Character(_HasArrays):
 
 
 @dataclass(frozen=True)
-class Handles(_HasArrays):
+class Handles(FrozenArrays):
     """The K handles of a character (section 3.1 of TapMo); handle 0 is the root.
 
     Args:
@@ -193,7 +182,7 @@ class Handles(_HasArrays):
         return f"<Handles: {len(self.positions)} of {len(self.weights):,} vertices>"
 
     def __post_init__(self) -> None:
-        self._freeze("handle", {
+        self.freeze_fields("handle", {
             "positions": ((None, 3), np.float32), "weights": ((None, len(self.positions)), np.float32),
         })  # fmt: skip
         if not np.isfinite(self.weights).all() or not np.isfinite(self.positions).all():
@@ -204,7 +193,7 @@ class Handles(_HasArrays):
             raise CharacterError("of a body that does not bend each vertex is of one handle")
         if self.roles is not None:
             count = len(self.positions)
-            self._freeze("handle", {"roles": ((count,), np.int64)})
+            self.freeze_fields("handle", {"roles": ((count,), np.int64)})
             if count and (self.roles[0] != 0 or self.roles[1:].min(initial=1) < 1 or self.roles.max() >= count):
                 raise CharacterError(
                     "handle 0 plays the root, and every other handle the part of one that exists and is not the root"

@@ -46,6 +46,18 @@ def frozen_array(
 _array = partial(frozen_array, error=MotionError)
 
 
+class FrozenArrays:
+    """A frozen object with fields that are arrays."""
+
+    def freeze_fields(self, what: str, fields: Mapping[str, tuple[tuple[int | None, ...], Any]]) -> None:
+        """Put read-only arrays of these shapes and types (`frozen_array`) in place of fields, each called "`what`
+        field" in errors.
+        """
+        for name, (shape, dtype) in fields.items():
+            array = frozen_array(getattr(self, name), shape, f"{what} {name}".strip(), dtype)
+            object.__setattr__(self, name, array)
+
+
 def check_rate(fps: float) -> None:
     """Raise MotionError unless frames a second [1/s] are positive and finite."""
     if not 0 < fps < math.inf:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +12,7 @@ from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.geometry.curves import gaussian, running_least
 from bunraku.core.geometry.rotations import heading, matrix_y
 from bunraku.core.motion import HandleMotion
-from bunraku.language.lexicon import goes_ahead, lexicon, stays_down, turns
+from bunraku.language.lexicon import goes_ahead, lexicon, stays_down
 from bunraku.language.posing import Posing
 from bunraku.language.sentence import Clause
 
@@ -173,7 +173,13 @@ def verify(clause: Clause, motion: HandleMotion, described: bool = True) -> Verd
 def asks_to_turn(clause: Clause) -> bool:
     """Whether a clause speaks of a turn, or of something that people turn for: a dance, a roll, going around."""
     spoken = clause.turn is not None or not clause.traits.isdisjoint(("winding", "turns"))
-    return spoken or turns(clause.actions)
+    return spoken or _turns(clause.actions)
+
+
+def _turns(actions: Iterable[str]) -> bool:
+    """Whether in any of some actions people turn, or are upside down."""
+    rows = lexicon().actions
+    return any(action in rows and rows[action].turns for action in actions)
 
 
 def onset(track: Track) -> float:
@@ -257,7 +263,7 @@ def _way(clause: Clause, track: Track) -> float | None:
     if "forward" in clause.cues:
         return min(ahead / _WALK, _stays(track) if clause.locomotion in _ON_FOOT and clause.count is None else 1)
     on_foot = clause.locomotion in _ON_FOOT and "halts" not in clause.traits
-    in_place = bool(clause.actions) and not goes_ahead(clause.actions) and not turns(clause.actions)
+    in_place = bool(clause.actions) and not goes_ahead(clause.actions) and not _turns(clause.actions)
     return _stays(track) if on_foot and not in_place else None
 
 

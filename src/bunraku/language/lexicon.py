@@ -117,6 +117,10 @@ class Phrases:
                         found.append(pattern)
         return found
 
+    def longest(self, words: Sequence[str], start: int) -> tuple[Pattern, int] | None:
+        """`longest_pattern` of these."""
+        return longest_pattern(self.starting(words[start]), words, start)
+
     def of(self, section: str, name: str) -> list[Pattern]:
         """Those of one row."""
         return [one for row in self.rows if row[:2] == (section, name) for one in self._patterns(*row)]
@@ -369,12 +373,6 @@ def goes_ahead(actions: Iterable[str]) -> bool:
     """Whether any of some actions leads somewhere."""
     rows = lexicon().actions
     return any(action in rows and rows[action].ahead for action in actions)
-
-
-def turns(actions: Iterable[str]) -> bool:
-    """Whether in any of some actions people turn, or are upside down."""
-    rows = lexicon().actions
-    return any(action in rows and rows[action].turns for action in actions)
 
 
 def is_cyclic(action: str) -> bool:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from bunraku.language.lexicon import lexicon, longest_pattern, words_of
+from bunraku.language.lexicon import lexicon, words_of
 from bunraku.language.vocabulary import FUNCTION_WORDS
 
 LIMBS: dict[str, str] = lexicon().limbs["parts"]
@@ -70,7 +70,7 @@ def phrases_of(words: Sequence[str]) -> list[Phrase]:
     found: list[Phrase] = []
     at, table = 0, lexicon().posing
     while at < len(words):
-        best = longest_pattern(table.starting(words[at]), words, at)
+        best = table.longest(words, at)
         stop = at + 1 if best is None else best[1]
         kind = value = ""
         if words[at] == "like":
