@@ -24,7 +24,7 @@ from bunraku.generation.pack import (
     stand_well,
     unpacked_stretch,
 )
-from bunraku.generation.retrieve import ExampleBank, retrieve, take_of
+from bunraku.generation.retrieve import ExampleBank, mirrored_cues, retrieve, take_of
 from bunraku.language.captions import mirror_words
 from bunraku.language.lexicon import said_cues
 from bunraku.language.parse import clause_of
@@ -105,7 +105,7 @@ def test_in_which_shipped_stretches_a_person_stands_is_stored_as_it_is_found_tod
 
 def test_what_a_mirrored_example_says():
     for text in ("waves with the left hand", "turns right and kicks with the left leg", "steps to the left"):
-        assert said_by((text,)).mirrored_cues == said_cues(mirror_words(text))
+        assert mirrored_cues(said_by((text,)).cues) == said_cues(mirror_words(text))
 
 
 AXES = np.eye(4)

@@ -246,10 +246,10 @@ def _move_foot(
     world: np.ndarray, root: np.ndarray, leg: Leg, joints: Joints, shift: np.ndarray, slope: np.ndarray
 ) -> None:
     """Bend one leg, in place."""
-    hip, knee, ankle = (
+    hip, knee, ankle = [
         world[:, handle, :, :3] @ joint + world[:, handle, :, 3]
         for handle, joint in zip((leg.upper, leg.lower, leg.end), leg.joints, strict=True)
-    )
+    ]
     goal = ankle + shift
     if leg.lower == leg.upper:
         carry(world, leg.upper, joints, hip, hip, rotation_between(_unit(ankle - hip), _unit(goal - hip)))

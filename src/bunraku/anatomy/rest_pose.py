@@ -54,10 +54,10 @@ def rest_rotations(
         if not joints.present[handle]:
             return None
         bodies = (joints, handles), (reference_joints, reference)
-        own, want = (
+        own, want = [
             (joint.positions[child] if joints.present[child] else body.positions[handle]) - joint.positions[handle]
             for joint, body in bodies
-        )
+        ]
         return None if np.linalg.norm(own) < SHORTEST * height else (own, want)
 
     for side in ("left", "right"):

@@ -35,7 +35,6 @@ IDLE = "#idle"
 """End of the names of stretches of people who stand; gestures are made by these."""
 BUSY = "#busy"
 """The same of people who use their hands; gestures take all but these from them."""
-_OTHER_SIDE = {"left": "right", "right": "left"}
 MOST_FRAMES = 2_000  # of one stretch; more in a file is damage
 METRES, RADIANS, ORDER = 5e-4, 2e-3, 2
 """Steps of a packed stretch, and how often differences are taken: as measured, with one milliradian and first
@@ -76,7 +75,7 @@ class Example:
     @property
     def gesture(self) -> str:
         """The action of a gesture, which its name says; "" where it says none, and for captured examples."""
-        return self.name.removeprefix(MADE).rpartition("_")[0].replace("_", " ") if self.made else ""
+        return self.name.removeprefix(MADE).rpartition("_")[0].replace("_", " ") if self.name.startswith(MADE) else ""
 
     @property
     def stands(self) -> bool:
@@ -92,15 +91,6 @@ class Said(NamedTuple):
     cues: frozenset[str]
     traits: frozenset[str]
     besides: frozenset[str] = frozenset()  # actions of the fullest beyond those
-
-    @property
-    def mirrored_cues(self) -> frozenset[str]:
-        """The cues of the sentences with left and right exchanged."""
-        cues = set()
-        for cue in self.cues:
-            side, _, part = cue.partition(" ")
-            cues.add(f"{_OTHER_SIDE[side]} {part}" if side in _OTHER_SIDE else cue)
-        return frozenset(cues)
 
 
 @functools.lru_cache(maxsize=4096)
@@ -265,7 +255,7 @@ def _as_motion(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _stretch_values(data: Sequence[bytes], frames: Sequence[int]) -> np.ndarray:
     try:
-        if not all(0 < count <= MOST_FRAMES for count in frames):
+        if min(frames, default=1) < 1 or max(frames, default=1) > MOST_FRAMES:
             raise ValueError
         return unpack_steps(data, frames, _NUMBERS, ORDER, FILTERS)
     except ValueError as error:

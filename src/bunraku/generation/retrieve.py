@@ -234,7 +234,7 @@ def _does(said: Said, query: Said, same: bool, made: bool) -> bool:
 
 def _agrees(said: Said, mirrored: bool, query: Said, wanted: frozenset[str]) -> bool:
     """Whether an example says the wanted sides, directions, postures and counts, and none that is not requested."""
-    cues = said.mirrored_cues if mirrored else said.cues
+    cues = mirrored_cues(said.cues) if mirrored else said.cues
     wished, shown = query.cues | query.traits, cues | said.traits
     for pair in lexicon().contrary:
         if pair & wished and pair & shown and not pair & wished & shown:
@@ -242,12 +242,24 @@ def _agrees(said: Said, mirrored: bool, query: Said, wanted: frozenset[str]) -> 
     return wanted <= cues and cues & _PACE <= query.cues
 
 
+def mirrored_cues(cues: frozenset[str]) -> frozenset[str]:
+    """Cues with left and right exchanged."""
+    other_side = {"left": "right", "right": "left"}
+    out = set()
+    for cue in cues:
+        side, _, part = cue.partition(" ")
+        out.add(f"{other_side[side]} {part}" if side in other_side else cue)
+    return frozenset(out)
+
+
 def _apart(said: Said, mirrored: bool, query: Said, made: bool) -> float:
     """How many things an example shows that were not requested, other actions and, of a gesture, another way, and half
     of how many traits only one of the two has. A person who points does not point to the left, a person who falls does
     not get up and fall again, and a person who runs does not set off and halt.
     """
-    ways = (said.mirrored_cues if mirrored else said.cues) & _ADDED_WAYS - query.cues if made else frozenset[str]()
+    ways = (
+        (mirrored_cues(said.cues) if mirrored else said.cues) & _ADDED_WAYS - query.cues if made else frozenset[str]()
+    )
     rows = lexicon().actions
     shown = (said.actions | said.besides) - query.actions
     others = [one for one in shown if one not in rows or not rows[one].passing]
@@ -260,7 +272,7 @@ def _lacks(pack: ExamplePack, index: int, mirrored: bool, clause: Clause) -> tup
     """What a clause adds to its action that a gesture does not do, and the part of the body that replaces its own."""
     texts, said = pack.examples[index].texts, pack.said[index]
     words = [word for word in clause.added if not tells_all((word,), texts)]
-    cues = said.mirrored_cues if mirrored else said.cues
+    cues = mirrored_cues(said.cues) if mirrored else said.cues
     words += [_SAYS.get(cue, cue) for cue in sorted((clause.cues & _ADDED) - cues) if not tells_all((cue,), texts)]
     words += sorted((clause.traits & _ADDED_TRAITS) - said.traits)
     if not words and not clause.count:

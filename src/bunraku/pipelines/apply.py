@@ -214,6 +214,7 @@ def apply_locomotion(motion: HandleMotion, sentence: Sentence, anatomy: Anatomy,
     for locomotion, clauses in groupby(sentence.clauses, key=lambda clause: clause.moves):
         share = sum(clause.seconds / sentence.seconds for clause in clauses)
         where = slice(round(start * len(motion)), round((start + share) * len(motion)))
-        motion = moved_so(motion, locomotion, where, anatomy, loop)
+        if locomotion:
+            motion = moved_so(motion, locomotion, where, anatomy, loop)
         start += share
     return motion

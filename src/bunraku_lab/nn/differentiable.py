@@ -161,7 +161,7 @@ class _Parameters(Weights):
     def part(self, name: str) -> Weights:
         return _Parameters(self._network, self._held, f"{self._prefix}{name}.")
 
-    def array(self, name: str, *shape: int) -> np.ndarray:
+    def array(self, name: str, *shape: int, as_stored: bool = False) -> np.ndarray:
         return cast(np.ndarray, Array(self._tensor(name, shape, 0.0)))
 
     def linear(self, name: str, width_in: int, width_out: int, bias: bool = True) -> Linear:

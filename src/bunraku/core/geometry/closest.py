@@ -89,7 +89,7 @@ def _search(points: np.ndarray, home: np.ndarray, stars: Stars) -> _Found:
     owner = np.repeat(np.arange(len(home)), sizes)
     triangle = stars.members[np.arange(len(owner)) + (stars.pointer[home] - starts)[owner]]
     p = points[owner] - stars.first[triangle]
-    pp, pu, pv = ((p * other).sum(axis=1) for other in (p, stars.u[triangle], stars.v[triangle]))
+    pp, pu, pv = [(p * other).sum(axis=1) for other in (p, stars.u[triangle], stars.v[triangle])]
     square, s, t = _closest(pp, pu, pv, *stars.dots[:, triangle])
     return _Found(owner, triangle, square, s, t, starts, np.minimum.reduceat(square, starts))
 
