@@ -51,16 +51,17 @@ def test_a_direction_is_taken(walked):
 
 
 def test_a_foot_that_stands_where_a_window_ends_stays_there_in_the_next():
-    live = bunraku.live(sample_character("person"), "dances", seed=1)
-    shown = live.window(200)[1]
-    posed, legs = shown.vertices(), live._body.anatomy.legs
     slid = []
-    for joint in range(39, 199, 40):  # the last frame of each window of two seconds
-        for leg in legs:
-            foot = posed[joint : joint + 4, leg.foot_area]
-            sole = foot[:, (foot[..., 1] - posed[..., 1].min() < 0.01).all(axis=0)]
-            if sole.shape[1]:
-                slid.append(np.linalg.norm(np.diff(sole[..., [0, 2]], axis=0), axis=-1).mean(axis=1).max())
+    for seed in (1, 2, 3):  # in some dances hardly a foot stands where a window ends
+        live = bunraku.live(sample_character("person"), "dances", seed=seed)
+        shown = live.window(200)[1]
+        posed, legs = shown.vertices(), live._body.anatomy.legs
+        for joint in range(39, 199, 40):  # the last frame of each window of two seconds
+            for leg in legs:
+                foot = posed[joint : joint + 4, leg.foot_area]
+                sole = foot[:, (foot[..., 1] - posed[..., 1].min() < 0.01).all(axis=0)]
+                if sole.shape[1]:
+                    slid.append(np.linalg.norm(np.diff(sole[..., [0, 2]], axis=0), axis=-1).mean(axis=1).max())
     assert len(slid) > 1 and max(slid) < 0.01
 
 

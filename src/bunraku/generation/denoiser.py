@@ -336,7 +336,7 @@ class Denoiser:
         tokens = -(-frames // patch)
         filled = padded(x, tokens * patch)
         full = bool((lengths >= frames).all())
-        real = np.arange(tokens * patch) < lengths[:, None]
+        real: np.ndarray = np.arange(tokens * patch) < lengths[:, None]
         if not full:
             filled *= real[..., None]
         entered = self.motion_in(filled.reshape(batch, tokens, patch * features))

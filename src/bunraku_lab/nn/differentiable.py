@@ -172,7 +172,7 @@ class _Parameters(Weights):
 
     def norm(self, name: str, width: int, epsilon: float = 1e-5) -> Norm:
         scale, shift = self._tensor(f"{name}.weight", (width,), 1.0), self._tensor(f"{name}.bias", (width,), 0.0)
-        return Norm(*cast(Any, (Array(scale), Array(shift))), epsilon)
+        return Norm(cast(Any, Array(scale)), cast(Any, Array(shift)), epsilon)
 
     def _tensor(self, name: str, shape: tuple[int, ...], low: float, high: float | None = None) -> torch.Tensor:
         full_name = self._prefix + name

@@ -359,7 +359,8 @@ class Composer:
                 a list, itself with "$" where that varies; "says" has actions and their fields, with "$", too. A field
                 that varies and is not in the text is "?".
         """
-        values, used, said = {name: self.pick(some) for name, some in row["vary"].items()}, set(), self.grammar
+        values, said = {name: self.pick(some) for name, some in row["vary"].items()}, self.grammar
+        used: set[str] = set()
 
         def fill(match: re.Match[str]) -> str:
             name, _, key = match[1].partition(".")

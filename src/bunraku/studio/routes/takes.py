@@ -32,7 +32,7 @@ def takes(request: Request, form: forms.TakeForm) -> Any:
         state.store.get("characters", owner)
         return {"takes": [take for take in state.store.all("takes") if take["character"] == owner]}
     handles = reading.ready_character(state, owner)["settings"]["handles"]
-    script, seeds = forms.read_script(form.script), list(form.seeds)
+    script, seeds = forms.read_script(form.script), [int(seed) for seed in form.seeds]
     params: dict[str, Any]
     if any(part.clip for part in form.script):  # clips of the library are played
         kind, title, constraints = "play", forms.sequence_of(script), form.constraints()

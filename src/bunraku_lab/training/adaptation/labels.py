@@ -335,7 +335,7 @@ def collect_pairs(
         hidden = model.hidden(
             add_noise(clean, noise, step, curve), step, torch.full((size,), frames, device=device), condition
         )
-        motion = model.motion_out(hidden).reshape(size, -1, model.config.features)[:, :frames]
+        motion = model.get_submodule("motion_out")(hidden).reshape(size, -1, model.config.features)[:, :frames]
         seen = torch.cat([hidden, mesh[:, None].expand(-1, hidden.shape[1], -1)], dim=-1)
         part = {"seen": seen.half().cpu(), "motion": motion.half().cpu(), "row": row}
         save_checkpoint(path, part, {"digest": plan.digest, "size": size}, KIND)

@@ -130,16 +130,14 @@ class _Run(TrainingRun):
         self.config, self.model, self.pairs, self.held = config, model, pairs, held
         self.device = model.mean.device
         self.bank = bank.to(self.device)
-        layer, width = model.adaptation_out, model.config.width
-        weight = layer.weight.detach().float()
+        width, shift = model.config.width, model.get_parameter("adaptation_out.bias")
+        weight = model.get_parameter("adaptation_out.weight").detach().float()
         inputs = width * (2 if config.mesh else 1)
         if weight.shape[1] < inputs:
             weight = torch.cat([weight, weight.new_zeros(len(weight), inputs - weight.shape[1])], 1)
         white, centre = whitening(pairs.seen.flatten(0, 1)[:, :inputs].float(), width, config.mesh_size)
         self.inputs = inputs
-        self.head = AdaptationHead(weight, layer.bias.detach().float(), white, centre, model.config.handles).to(
-            self.device
-        )
+        self.head = AdaptationHead(weight, shift.detach().float(), white, centre, model.config.handles).to(self.device)
         self.optimizer = torch.optim.AdamW(self.head.parameters(), lr=config.learning_rate, weight_decay=config.decay)
         self.out, self.stop, self.held_out = config.out, Stop(), (pairs, held)
         self.step, self.seconds = 0, 0.0
@@ -352,8 +350,8 @@ def train_adaptation(
             f"{model.config.mesh_features}"
         )
     if model.config.adaptation_frame != config.frame or (model.config.adaptation_mesh and not config.mesh):
-        nn.init.zeros_(model.adaptation_out.weight)  # what the layer said so far has another meaning
-        nn.init.zeros_(model.adaptation_out.bias)
+        nn.init.zeros_(model.get_parameter("adaptation_out.weight"))  # what the layer said so far has another meaning
+        nn.init.zeros_(model.get_parameter("adaptation_out.bias"))
     frames = min(config.frames, model.config.frames) // model.config.frames_per_token * model.config.frames_per_token
     remove_leftovers(config.out)
     if encoder is None:
