@@ -243,7 +243,7 @@ def surface_points(clothed: ClothedCharacter, count: int) -> BodyPoints:
         return BodyPoints(none, none, np.zeros((0, JOINT_COUNT), np.float32), np.zeros(0, np.int64))
     clean = clean_mesh(clothed.rest, faces)
     piece = mesh_parts(unique_edges(clean.faces, len(clean.vertices)), len(clean.vertices))[clean.index[faces[:, 0]]]
-    middle = np.stack([np.bincount(piece, area * column) for column in corners.mean(axis=1).T], axis=1)
+    middle: np.ndarray = np.stack([np.bincount(piece, area * column) for column in corners.mean(axis=1).T], axis=1)
     middle = middle / np.maximum(np.bincount(piece, area), 1e-30)[:, None]
     volume = np.bincount(piece, np.einsum("fa,fa->f", normals, corners.mean(axis=1) - middle[piece]))
     normals *= np.where(volume < 0, -1.0, 1.0)[piece, None]

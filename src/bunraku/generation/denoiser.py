@@ -336,11 +336,11 @@ class Denoiser:
         tokens = -(-frames // patch)
         filled = padded(x, tokens * patch)
         full = bool((lengths >= frames).all())
-        real: np.ndarray = np.arange(tokens * patch) < lengths[:, None]
+        real = np.arange(tokens * patch) < lengths[:, None]
         if not full:
             filled *= real[..., None]
         entered = self.motion_in(filled.reshape(batch, tokens, patch * features))
-        return entered, None if full else real.reshape(batch, tokens, patch).any(-1)
+        return entered, None if full else real.reshape(batch, tokens, patch).max(-1)
 
     def _step(self, step: int | np.ndarray) -> np.ndarray:
         """The diffusion step as the layers see it, shape (1, d)."""
