@@ -19,20 +19,20 @@ ROWS = re.findall(
     r"^\| ([^|]+) \| `bunraku ([^`]+)` \|", (ROOT / "docs" / "tasks.md").read_text(encoding="utf-8"), re.MULTILINE
 )
 MADE = {  # what is there afterwards, and the clips that it holds
-    "a mesh of yours to move": {"knight-walks.glb": 1},
+    "a mesh that moves": {"knight-walks.glb": 1},
     "a loop on the spot for a game, at 60 frames a second": {"knight-runs.glb": 1},
-    "ten sentences at once, a file each": {f"knight-clips/{number:03}": 1 for number in range(1, 11)},
+    "ten sentences at once, one file each": {f"knight-clips/{number:03}": 1 for number in range(1, 11)},
     "four clips in one file": {"knight-moves.glb": ["idle", "walks-forward", "runs", "Attack"]},
-    "the skeleton that the file has": {"hero-waves.glb": 1},
+    "a file moved by its own skeleton": {"hero-waves.glb": 1},
     "a captured motion on an avatar": {"avatar-walks.glb": 1},
     "that motion as a file for VRM programs": {"avatar-walks.vrma": None},
-    "a clip of the library": {"knight-charleston.glb": 1},
-    "an FBX": {"knight-waves.fbx": 1},
-    "it in Unity": {"knight-unity.fbx": ["idle", "runs"]},
-    "it in Unreal": {"knight-unreal-idle.fbx": ["idle"], "knight-unreal-runs.fbx": ["runs"]},
-    "it in Godot": {"knight-godot.glb": ["idle", "runs"]},
-    "it in Blender": {"knight-blender.glb": ["idle", "runs"]},
-    "a video of it": {"knight-walks.mp4": None},
+    "a clip from the library": {"knight-charleston.glb": 1},
+    "an FBX file": {"knight-waves.fbx": 1},
+    "clips for Unity": {"knight-unity.fbx": ["idle", "runs"]},
+    "clips for Unreal": {"knight-unreal-idle.fbx": ["idle"], "knight-unreal-runs.fbx": ["runs"]},
+    "clips for Godot": {"knight-godot.glb": ["idle", "runs"]},
+    "clips for Blender": {"knight-blender.glb": ["idle", "runs"]},
+    "a video of a clip": {"knight-walks.mp4": None},
 }
 
 
@@ -51,7 +51,7 @@ def test_every_row_is_tried():
 @pytest.mark.parametrize(("row", "command"), [one for one in ROWS if one[1] != "studio"], ids=lambda text: text[:24])
 def test_a_command_does_what_its_row_says(row, command, home, monkeypatch):
     monkeypatch.chdir(home)
-    if row == "a video of it" and not Path("knight-walks.glb").is_file():
+    if row == "a video of a clip" and not Path("knight-walks.glb").is_file():
         pytest.skip("it shows what the first row made")
     words = shlex.split(command)
     assert main([*words, *(QUICK if words[0] == "animate" else [])]) == 0
