@@ -27,30 +27,33 @@ PICTURES = {
 }
 """Of the first table of each number, made by `tools/make_tables_pictures.py`."""
 CONCLUSIONS = {
-    "text-based motion generation": "One sample is far nearer to real motion than TapMo (MDM); the chosen one passes "
-    "real motion's R-Precision.",
-    "mesh distortion": "Characters are distorted far less than by a skeleton fitted to them, and the adaptation helps.",
-    "apparel and body in motion, ten frames from a true state": "Ours is ahead of both methods and, on apparel, of the "
-    "best fixed skinning.",
-    "apparel and body in motion, 6 s from rest": "Apparel is behind the best fixed skinning and ahead of all else.",
-    "modules": "The apparel module takes a quarter off the error of apparel; the paper's takes two thirds.",
-    "geodesic attention, the truth without physics": "After a minute of training, attention is ahead on the body only.",
+    "text-based motion generation": "One sample is far nearer to real motion than TapMo (MDM); the sample that animate "
+    "chooses exceeds the R-Precision of real motion.",
+    "mesh distortion": "Our characters are distorted far less than with a fitted skeleton, and the adaptation helps.",
+    "apparel and body in motion, ten frames from a true state": "Ours has a smaller error than both methods and, on "
+    "apparel, than the best fixed skinning.",
+    "apparel and body in motion, 6 s from rest": "On apparel, ours is behind the best fixed skinning "
+    "and ahead of all else.",
+    "modules": "The apparel module lowers the error on apparel by a quarter; the paper's by two thirds.",
+    "geodesic attention, the truth without physics": "After a minute of training, attention has the "
+    "smallest error on the body only.",
 }
 """One line for each table that is shown, by its title."""
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 HEAD = """# The papers' tables
 
-TapMo's and MMDMC's tables with our figures, by `bunraku evaluate tables`, {day}. A cell has the paper's figure / ours,
-and in brackets both over the reference row. The data are not the papers', so only these ratios compare. What follows ±
-is half of a 95 % interval. Rows that were not run, and rows that the papers quote from others, are left out.
-`tools/make_tables_page.py` makes the page; `benchmarks/baselines.md` has the commands for the other methods'
-weights.
+TapMo's and MMDMC's tables with our figures, printed by `bunraku evaluate tables` on {day}. A cell has the paper's
+figure / ours and, in brackets, the ratios of both to the reference row. Our data differ from the papers', so only these
+ratios can be compared. The value after ± is half of a 95 % interval. Rows that were not run, and rows that the papers
+quote from others, are left out. `tools/make_tables_page.py` makes the page; `benchmarks/baselines.md` has the commands
+for the other methods' weights.
 """
 MEASUREMENTS = """# Measurements
 
-Figures of November 2026, each with the command that prints it and its day. [How things are measured](evaluation.md)
-defines the measures; a bar is what was aimed at before measuring. Times are those of two cores of an AMD EPYC (Zen 5)
-virtual machine. `tools/make_tables_page.py` makes this page from `docs/measurements.json`.
+Figures of November 2026. Below each table are the command that prints it and the date.
+[How things are measured](evaluation.md) defines the measures. A bar is the target that was set before measuring. Times
+are those of two cores of an AMD EPYC (Zen 5) virtual machine. `tools/make_tables_page.py` makes this page from
+`docs/measurements.json`.
 """
 
 

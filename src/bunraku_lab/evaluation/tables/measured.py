@@ -39,9 +39,9 @@ _TABLE_2 = (
     PaperRow(OURS, (1.08, 1.91, 0.75, 0.94)),
 )
 _FLOORS = (
-    "NBS and SPT were trained on the same data for minutes of a processor. The best skinning is fitted to the truth "
-    "itself. SPT shares parts with our handle predictor; its floor moves the predicted parts as the character's own "
-    "joints move, so the fair ratio is that to the floor."
+    "NBS and SPT were trained on the same data for minutes on a processor. The best skinning is fitted to the truth "
+    "itself. SPT shares parts with our handle predictor. Its floor moves the predicted parts as the character's own "
+    "joints move, so the ratio to the floor is the fair one."
 )
 
 # The numbers are the paper's.
@@ -74,8 +74,8 @@ MMDMC: tuple[PaperTable, ...] = (
             PaperRow("attention", (1.14, 2.29, 0.69, 0.93)),
         ),
         "none",
-        "With --baselines all three were trained for a minute on 50 characters; otherwise attention is the shipped "
-        "network. After a minute they depend on the characters.",
+        "With --baselines, all three were trained for a minute on 50 characters; otherwise attention is the shipped "
+        "network. After only a minute, the result depends on the characters.",
     ),
 )  # fmt: skip
 

@@ -264,10 +264,10 @@ HANDLE_FID = "Handle-FID"
 _HEADS = "--baselines has no adaptation trained on the shipped network: bunraku train adaptation"
 _TRANSFER = "--baselines has no transfer network: bunraku train transfer-baseline --preset sfpt"
 _JUDGES = (
-    "Critic, ranker and extractor are networks of one kind, trained apart on the same sentences, so a ratio over 1 to "
-    "real is no proof of better than captured. The row of TapMo (MDM) is kept from 2026-11-24, when an encoder-only "
-    "network was measured on windows of the same clips. It had 5,000 steps of 32 clips and the shipped network many "
-    "more, so the row is in our favour; docs/history.md has equal trainings."
+    "Critic, ranker and extractor are networks of one kind, trained separately on the same sentences. So a ratio "
+    "over 1 to real does not mean better than captured motion. The row TapMo (MDM) is from 2026-11-24: an "
+    "encoder-only network, measured on windows of the same clips. It had 5,000 steps of 32 clips and the shipped "
+    "network many more, which favours ours; docs/history.md has equal trainings."
 )
 
 _PEOPLE = "people rank them"
@@ -320,11 +320,11 @@ TAPMO: tuple[PaperTable, ...] = (
             PaperRow("ours", (0.271, 0.329, 0.046)),
         ),
         "MDM-SR",
-        "MDM-SR leaves out characters that no human skeleton fits, in its favour. The figures of 2026-11-24 show "
-        "motion of an encoder-only network in the rows of MDM-SR and MDM-SFR; the command takes our own motion there. "
-        "MDM-SFR was trained for minutes of a processor and shares parts with our handle predictor, so a ratio to it "
-        "says little. L_h, L_a and the adaptation are last layers that were trained for 500 steps on the shipped "
-        "network; the last row is the shipped program, which has none of them. Handle-FID needs --data.",
+        "MDM-SR leaves out characters that no human skeleton fits, which favours it. In the rows of MDM-SR and "
+        "MDM-SFR, the figures of 2026-11-24 are for motion of an encoder-only network; the command now uses our own "
+        "motion. MDM-SFR was trained for minutes on a processor and shares parts with our handle predictor, so a "
+        "ratio to it says little. L_h, L_a and the adaptation are last layers, trained for 500 steps on the shipped "
+        "network. The last row is the shipped program, which has none of them. Handle-FID needs --data.",
     ),
     PaperTable(
         "tapmo", 3, "user study, mean rank", ("overall", "text", "geometry"),
