@@ -10,7 +10,7 @@ from bunraku.gestures.catalogue import STANDING, read_places, things_file
 from bunraku.gestures.interactions import interaction_gesture, read_terrain_gaits
 from bunraku.gestures.perform import performed
 from bunraku.gestures.play import AT, Tracks, gesture_motion, posed, swaying
-from bunraku.language.interactions import Contact, Gaze, Handling, HandlingStep, Place, Terrain
+from bunraku.language.interactions import Contact, Gaze, Handling, HandlingStep, Place, Terrain, read_as
 from bunraku.language.lexicon import lexicon
 
 DOG, HORSE, CAT = (
@@ -181,6 +181,12 @@ def test_what_is_held_is_held_to_the_end_and_what_is_put_down_is_let_go_of():
     assert held[-1, :, 1].min() > 1.1 > held[0, :, 1].max()
     gone = palms(made(handled("both", "hold chest", "put floor")))
     assert gone[0, :, 1].min() > 1.1 and gone[-1, :, 1].max() < 1.0
+
+
+@pytest.mark.xfail(strict=True, reason="what is read of things says nothing of how often")
+def test_weights_go_up_again_and_again():
+    height = palms(gesture_motion(interaction_gesture(read_as(Handling, "lifts heavy weights"))))[..., 1].mean(axis=1)
+    assert ((height[1:] > 0.8) & (height[:-1] <= 0.8)).sum() >= 3
 
 
 @pytest.mark.parametrize("seed", range(3))

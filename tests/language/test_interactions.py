@@ -4,165 +4,121 @@ from __future__ import annotations
 
 import pytest
 
-from bunraku.language.interactions import Handling, interaction_of, read_as
+from bunraku.language.interactions import Contact, Gaze, Handling, Terrain, read_as
 from bunraku.language.parse import parse
-from bunraku.language.reader import load_reader
 from bunraku.language.understood import understood
 
-SAID = """
-pat a dog's head | deed pat | 0.5 | 0.85
-a person strokes a kitten | deed stroke | 0.1 | 0.4
-Pet the pony | deed stroke | 0.9 | 1.2
-scratches a horse behind the ears | deed scratch | 1.3 | 1.6
-Open the door | deed swing open | 0.95 | 1.15
-a person slides the patio door open | deed slide | 0.95 | 1.15
-pull out the drawer | deed pull | 0.7 | 1.0
-closes the trunk of a car | deed lower | 0.7 | 1.1
-push the elevator button | deed press | 1.1 | 1.4
-Grab handle | deed grip | 0.9 | 1.2
-cranks the handle of a well | deed crank | 0.9 | 1.2
-wipes the blackboard | deed wipe | 1.1 | 1.6
-scrubs the bathtub | deed wipe | 0.4 | 0.7
-rests a hand on a tombstone | deed touch | 0.6 | 1.0
-a person puts both hands on the desk | deed touch | 0.8 | 1.05
-leans against a tree | deed lean | 1.1 | 1.6
-pats a child on the head | deed pat | 0.8 | 1.3
-strokes the neck of a camel | deed stroke | 1.5 | 2.0
-presses a key on the control panel | deed press | 1.0 | 1.4
-rests both hands on the gizmo | deed touch | 0.8 | 1.4
-opens a can | deed open held | 0.8 | 1.3
-pours water into a glass | deed pour | 0.8 | 1.3
-waters the plants | deed water | 0.4 | 1.0
-drives a truck | deed drive | 0.5 | 1.5
-rows a boat | deed row | 0.3 | 1.5
-puts a hand on somebody's shoulder | deed touch | 1.2 | 1.6
-touches the contraption | deed touch | 0.8 | 1.4
-gives a woman a rose with the left hand | deed offer | 0 | 9
-hands a letter to somebody | deed offer | 0 | 9
-hands over the keys | deed offer | 0 | 9
-holds out a hand to somebody | deed offer | 0 | 9
-holds a lantern out in front of him | deed offer | 0 | 9
-sips hot tea from a mug | deed sip | 0 | 9
-drinks from a fountain | deed drink bent | 0 | 9
-looks through binoculars | deed hold at the eyes | 0 | 9
-turns a valve | deed wheel | 0 | 9
-touches the wall with both hands | deed touch | 0 | 9
-dodges a snowball | deed dodge | 0 | 9
-a person walks through knee-deep snow | ground deep | 0 | 9
-wades through a river | ground deep | 0 | 9
-walks on a slackline | ground narrow | 0 | 9
-tightrope walker crossing a wire | ground narrow | 0 | 9
-walks along a narrow ledge | ground narrow | 0 | 9
-a person walks across a frozen lake | ground slippery | 0 | 9
-crosses the ice | ground slippery | 0 | 9
-walks over hot coals | ground hot | 0 | 9
-steps carefully over broken glass | ground sharp | 0 | 9
-trudges through sand dunes | ground soft | 0 | 9
-walks along the beach | ground soft | 0 | 9
-steps over a log | ground obstacle | 0 | 9
-steps over a puddle | ground obstacle | 0 | 9
-walks the plank | ground narrow | 0 | 9
-wades along the street | ground deep | 0 | 9
-gropes along a corridor | ground dark | 0 | 9
-mows the lawn | ground pushed | 0 | 9
-shuffles over black ice | ground slippery | 0 | 9
-steps over a sleeping dog | ground obstacle | 0 | 9
-fights his way through a blizzard | ground windy | 0 | 9
-walks up a steep hill | ground uphill | 0 | 9
-climbs a hill | ground uphill | 0 | 9
-walks down a hill | ground downhill | 0 | 9
-a person walks uphill | ground uphill | 0 | 9
-walks in the dark | ground dark | 0 | 9
-walks against the wind | ground windy | 0 | 9
-a man pushes a shopping cart | ground pushed | 0 | 9
-pulls a sled through the snow | ground dragged | 0 | 9
-walks while pushing a stroller | ground pushed | 0 | 9
-a person takes a cup from the shelf with the left hand | take | 1.55 | 2.05
-a person moves a box from the left to the right | put | 0.71 | 1.21
-picks up a bottle and puts it on the floor | put | -0.05 | 0.45
-lifts the crate above the head | hold | 1.81 | 2.31
-a person puts something on a high shelf | put | 1.55 | 2.05
-picks up an object with two hands and puts it back | put | -0.05 | 0.45
-a person lowers the box to the ground | put | -0.05 | 0.45
-a person takes a book from low on the right | take | 0.25 | 0.75
-carries a suitcase over his head | hold | 1.81 | 2.31
-a child gazes at a skyscraper | sight up | 0 | 9
-gazes at the stars | sight up | 0 | 9
-a person gazes at the ocean | sight far | 0 | 9
-watches the sunset | sight far | 0 | 9
-looks into the distance | sight far | 0 | 9
-looks down into a canyon | sight deep | 0 | 9
-peers into a well | sight deep | 0 | 9
-looks down at the feet | sight down | 0 | 9
-looks under the bed | sight under | 0 | 9
-stares at a painting on the wall | sight level | 0 | 9
-"""
-"""Sentences, what is done in them, and between which heights [m], if that is asked."""
-NOT_SAID = """
-a person opens his arms
-turns to the left
-turns the page of a book
-hands on hips
-gives a speech
-gives basketball signals by hand
-washes hands in the sink
-brushes her hair
+MISREAD = """
+scratches a horse behind the ears
+pats a child on the head
+strokes the neck of a camel
+gives a woman a rose with the left hand
+holds a lantern out in front of him
 cleans the floor with a mop
-walks and pats a dog
-a person shuffles as if drunk
-strokes with trunk rotation to the left
-rests on the bed
-strokes his beard
-pats her head
 turns the contraption
-an open-hand strike
-a person raises the left arm
-a person lifts the right leg
-takes a step to the left
-takes a bow
-a person puts on a hat
-moves to the left
-puts the hands on the hips
-a person picks up a ball and throws it
-waves
-looks at his watch
-looks around the room
-looks over his shoulder
-looks for a house
-shades his eyes and looks at the sea
-walks and looks at the sea
-looks to the left
-looks up at the sky
-looks tired
-looks at his hands
-jumps over a log
-climbs a rope
+steps over a sleeping dog
+walks along the river
 runs through the snow
-sneaks through the tall grass
-crawls over the ice
-a martial artist steps around into a deep stance
-walks across the room
-walks through the snow and waves
-"""
-"""Sentences in which nothing is done with a thing, or something else besides."""
+a person moves a box from the left to the right
+picks up a bottle and puts it on the floor
+lifts the crate above the head
+picks up an object with two hands and puts it back
+a person lowers the box to the ground
+a person takes a book from low on the right
+carries a suitcase over his head
+a person picks up a ball and throws it
+a person walks and carries a box
+picks up a box with one hand
+a person holds a box over his head and walks
+looks into the valley
+looks at his watch
+shades his eyes and looks at the sea
+looks up at the sky
+""".strip().splitlines()
+"""Sentences below that the reader takes for something else."""
 
 
-def test_most_of_what_is_done_with_things_is_read_at_the_right_height() -> None:
-    kinds, heights = [], []
-    for kind, low, high, text in (
-        (kind, float(low), float(high), text)
-        for text, kind, low, high in (line.split(" | ") for line in SAID.strip().splitlines())
-    ):
-        found = {frame.action: float(frame.fields.get("height", 0)) for frame in load_reader().dealt(text)}
-        kinds.append(kind in found and interaction_of(text) is not None)
-        if kinds[-1] and high < 9:
-            heights.append(low < found[kind] < high)
-    assert sum(kinds) / len(kinds) > 0.8 and sum(heights) / len(heights) > 0.7
+def rows(*cases):
+    """Cases of a test, those of misread sentences as expected failures."""
+    marks = [pytest.mark.xfail(strict=True, reason="the reader takes it for something else")]
+    said = [case if isinstance(case, tuple) else (case,) for case in cases]
+    return [pytest.param(*case, marks=marks if case[0] in MISREAD else []) for case in said]
 
 
-def test_nothing_is_done_with_things_where_nothing_of_the_kind_is_said() -> None:
-    silent = [interaction_of(text) is None for text in NOT_SAID.strip().splitlines()]
-    assert sum(silent) / len(silent) > 0.75
+@pytest.mark.parametrize(
+    ("text", "deed", "lowest", "highest"),
+    rows(
+        ("pat a dog's head", "pat", 0.5, 0.85),  # a head at a knee or a hip
+        ("a person strokes a kitten", "stroke", 0.1, 0.4),
+        ("Pet the pony", "stroke", 0.9, 1.2),
+        ("scratches a horse behind the ears", "scratch", 1.3, 1.6),
+        ("Open the door", "swing open", 0.95, 1.15),
+        ("a person slides the patio door open", "slide", 0.95, 1.15),
+        ("pull out the drawer", "pull", 0.7, 1.0),
+        ("closes the trunk of a car", "lower", 0.7, 1.1),
+        ("push the elevator button", "press", 1.1, 1.4),
+        ("Grab handle", "grip", 0.9, 1.2),
+        ("cranks the handle of a well", "crank", 0.9, 1.2),
+        ("wipes the blackboard", "wipe", 1.1, 1.6),
+        ("scrubs the bathtub", "wipe", 0.4, 0.7),
+        ("rests a hand on a tombstone", "touch", 0.6, 1.0),
+        ("a person puts both hands on the desk", "touch", 0.8, 1.05),
+        ("leans against a tree", "lean", 1.1, 1.6),
+        ("pats a child on the head", "pat", 0.8, 1.3),
+        ("strokes the neck of a camel", "stroke", 1.5, 2.0),
+        ("presses a key on the control panel", "press", 1.0, 1.4),
+        ("rests both hands on the gizmo", "touch", 0.8, 1.4),
+        ("opens a can", "open held", 0.8, 1.3),
+        ("pours water into a glass", "pour", 0.8, 1.3),
+        ("waters the plants", "water", 0.4, 1.0),
+        ("drives a truck", "drive", 0.5, 1.5),
+        ("rows a boat", "row", 0.3, 1.5),
+        ("puts a hand on somebody's shoulder", "touch", 1.2, 1.6),
+        ("touches the contraption", "touch", 0.8, 1.4),  # which the table does not know
+    ),
+)
+def test_what_is_done_and_how_high_follows_from_the_thing(text, deed, lowest, highest):
+    found = read_as(Contact, text)
+    assert found.deed == deed and lowest < found.height < highest
+
+
+@pytest.mark.parametrize(
+    ("text", "deed", "hands"),
+    rows(
+        ("gives a woman a rose with the left hand", "offer", "left"),
+        ("hands a letter to somebody", "offer", "one"),
+        ("hands over the keys", "offer", "one"),
+        ("holds out a hand to somebody", "offer", "one"),
+        ("holds a lantern out in front of him", "offer", "one"),
+        ("sips hot tea from a mug", "sip", "one"),
+        ("drinks from a fountain", "drink bent", "one"),
+        ("looks through binoculars", "hold at the eyes", "both"),
+        ("turns a valve", "wheel", "both"),
+        ("touches the wall with both hands", "touch", "both"),
+        ("dodges a snowball", "dodge", "one"),
+    ),
+)
+def test_hands_are_those_that_are_named_or_that_the_thing_takes(text, deed, hands):
+    assert read_as(Contact, text)[:2] == (deed, hands)
+
+
+def test_a_thing_is_on_the_side_that_is_said():
+    assert read_as(Contact, "presses the button on the left").way == "left"
+    assert read_as(Contact, "presses the button with the left hand").way == ""
+
+
+@pytest.mark.parametrize(
+    "text",
+    rows(
+        "a person opens his arms", "turns to the left", "turns the page of a book", "hands on hips",
+        "gives a speech", "gives basketball signals by hand", "holds a box", "washes hands in the sink",
+        "brushes her hair", "cleans the floor with a mop", "walks and pats a dog", "a person shuffles as if drunk",
+        "strokes with trunk rotation to the left", "rests on the bed", "looks at a telescope", "strokes his beard",
+        "pats her head", "turns the contraption", "an open-hand strike",
+    ),
+)  # fmt: skip
+def test_what_is_no_deed_at_a_thing_or_not_all_that_is_done_is_none(text):
+    assert read_as(Contact, text) is None
 
 
 def test_it_is_what_was_named_before():
@@ -179,21 +135,145 @@ def test_who_walks_and_sips_has_two_voices():
     assert clause.body.text == "a person walks" and clause.meanwhile.detail.deed == "sip"
 
 
+def test_words_of_things_are_understood_where_something_is_done_with_them():
+    found = understood("Pet the pony")
+    assert found.ok and not found.unknown
+    assert understood("touches a cactus").language == "en"  # "touches" is French, too
+
+
+@pytest.mark.xfail(strict=True, reason="names of things are known words, whatever is said of them")
+def test_an_animal_that_dances_is_no_thing():
+    assert [word.word for word in understood("a gecko dances").unknown] == ["gecko"]
+
+
+@pytest.mark.parametrize(
+    ("text", "ground"),
+    rows(
+        ("a person walks through knee-deep snow", "deep"),
+        ("wades through a river", "deep"),
+        ("walks on a slackline", "narrow"),
+        ("tightrope walker crossing a wire", "narrow"),
+        ("walks along a narrow ledge", "narrow"),
+        ("a person walks across a frozen lake", "slippery"),
+        ("crosses the ice", "slippery"),
+        ("walks over hot coals", "hot"),
+        ("steps carefully over broken glass", "sharp"),
+        ("trudges through sand dunes", "soft"),
+        ("walks along the beach", "soft"),
+        ("steps over a log", "obstacle"),
+        ("steps over a puddle", "obstacle"),
+        ("walks the plank", "narrow"),
+        ("wades along the street", "deep"),
+        ("gropes along a corridor", "dark"),
+        ("mows the lawn", "pushed"),
+        ("shuffles over black ice", "slippery"),
+        ("steps over a sleeping dog", "obstacle"),
+        ("fights his way through a blizzard", "windy"),
+        ("walks up a steep hill", "uphill"),
+        ("climbs a hill", "uphill"),
+        ("walks down a hill", "downhill"),
+        ("a person walks uphill", "uphill"),
+        ("walks in the dark", "dark"),
+        ("walks against the wind", "windy"),
+        ("a man pushes a shopping cart", "pushed"),
+        ("pulls a sled through the snow", "dragged"),
+        ("walks while pushing a stroller", "pushed"),
+    ),
+)
+def test_the_ground_is_read(text, ground):
+    assert read_as(Terrain, text).ground == ground
+
+
+@pytest.mark.parametrize(
+    "text",
+    rows(
+        "walks along the river", "jumps over a log", "climbs a rope", "climbs a ladder", "runs through the snow",
+        "sneaks through the tall grass", "crawls over the ice", "a martial artist steps around into a deep stance",
+        "walks across the room", "pushes a button", "walks backwards through the snow",
+        "walks through the snow and waves",
+    ),
+)  # fmt: skip
+def test_other_ways_and_what_nobody_walks_on_are_none(text):
+    assert read_as(Terrain, text) is None
+
+
 def test_who_waves_on_the_way_through_snow_does_both():
     (clause,) = parse("a person walks through the snow while waving").clauses
     assert clause.body.detail.ground == "deep" and clause.meanwhile.actions == ("wave",)
 
 
+def told(text):
+    """Hands and stations as words: "take floor", "put table left"."""
+    found = read_as(Handling, text)
+    return found and (found.hands, [" ".join((one.does, *one.place)).strip() for one in found.steps])
+
+
+@pytest.mark.parametrize(
+    ("text", "hands", "stations"),
+    rows(
+        ("a person takes a cup from the shelf with the left hand", "left", ["take high", "hold chest"]),
+        ("a person moves a box from the left to the right", "both", ["take table left", "put table right"]),
+        ("picks up a bottle and puts it on the floor", "one", ["take table", "hold chest", "put floor"]),
+        ("lifts the crate above the head", "both", ["take floor", "hold overhead"]),
+        ("a person puts something on a high shelf", "one", ["hold chest", "put high"]),
+        ("picks up an object with two hands and puts it back", "both", ["take floor", "hold chest", "put floor"]),
+        ("a person lowers the box to the ground", "both", ["hold chest", "put floor"]),
+        ("a person takes a book from low on the right", "one", ["take low right", "hold chest"]),
+        ("carries a suitcase over his head", "one", ["hold overhead"]),
+    ),
+)
+def test_hands_and_places_are_read(text, hands, stations):
+    assert told(text) == (hands, stations)
+
+
+@pytest.mark.parametrize(
+    "text",
+    rows(
+        "a person raises the left arm", "a person lifts the right leg", "takes a step to the left", "takes a bow",
+        "a person puts on a hat", "moves to the left", "puts the hands on the hips",
+        "a person picks up a ball and throws it", "a person walks and carries a box", "holds a plank", "waves",
+    ),
+)  # fmt: skip
+def test_what_is_no_thing_or_not_all_that_is_done_is_not_handled(text):
+    assert told(text) is None
+
+
+@pytest.mark.parametrize(
+    ("text", "more"),
+    rows(
+        ("a person picks up a box from the floor", False),
+        ("a person carries a box", False),
+        ("picks up a cup", True),
+        ("picks up a box with one hand", True),
+        ("picks up a box and puts it down", True),
+        ("takes a box from the shelf", True),
+    ),
+)
+def test_only_what_says_more_than_the_floor_is_more_than_picking_up(text, more):
+    assert read_as(Handling, text).said == more
+
+
 def test_a_thing_that_is_not_let_go_of_makes_one_clause():
     (one,) = parse("a person picks up a box, then places it on the shelf").clauses
-    assert [station.does for station in one.detail.steps if station.does != "hold"] == ["take", "put"]
     assert one.seconds == pytest.approx(6)
     assert len(parse("a person puts a box down, then picks up a cup").clauses) == 2
 
 
-def test_who_holds_something_over_the_head_on_the_way_has_two_voices():
-    (clause,) = parse("a person holds a box above the head and walks").clauses
+@pytest.mark.xfail(strict=True, reason="the reader takes it for something else")
+def test_between_taking_and_putting_a_thing_is_held():
+    (one,) = parse("a person picks up a box, then places it on the shelf").clauses
+    assert [station.does for station in one.detail.steps] == ["take", "hold", "put"]
+
+
+@pytest.mark.parametrize(
+    "text", rows("a person holds a box over his head and walks", "a person holds a box above the head and walks")
+)
+def test_who_holds_something_over_the_head_on_the_way_has_two_voices(text):
+    (clause,) = parse(text).clauses
     assert clause.body.text == "a person walks" and clause.meanwhile.part == "arms"
+
+
+def test_who_carries_something_on_the_way_does_it_as_captured_people_do():
     (carried,) = parse("a person walks while carrying a box").clauses  # as captured people do
     assert carried.meanwhile is None
 
@@ -213,12 +293,12 @@ def test_who_sits_down_and_crosses_the_legs_does_both_at_once():
 
 @pytest.mark.parametrize(
     ("text", "action"),
-    [
+    rows(
         ("Bend knees", "squat"),
         ("Open door", "open door"),
         ("ascends a staircase", "climb"),
         ("mops to and fro", "sweep"),
-    ],
+    ),
 )
 def test_commands_without_an_article_are_read(text, action):
     (clause,) = parse(text).clauses
@@ -230,21 +310,49 @@ def test_back_and_forth_is_no_second_voice():
     assert clause.meanwhile is None
 
 
-def test_words_of_things_are_understood_where_something_is_done_with_them():
-    found = understood("Pet the pony")
-    assert found.ok and not found.unknown
+@pytest.mark.parametrize(
+    ("text", "pitches", "sweeps", "leans"),
+    rows(
+        ("a child gazes at a skyscraper", (-90, -20), False, None),
+        ("gazes at the stars", (-90, -20), False, None),
+        ("a person gazes at the ocean", (-5, 5), True, False),
+        ("watches the sunset", (-5, 5), True, False),
+        ("looks into the distance", (-5, 5), True, False),
+        ("looks down into a canyon", (20, 90), False, True),
+        ("peers into a well", (20, 90), False, True),
+        ("stands at a precipice and looks down", (20, 90), False, True),
+        ("looks down at the feet", (20, 90), False, None),
+        ("gazes across the valley", (-90, 5), False, None),
+        ("looks into the valley", (20, 90), False, None),
+        ("stares at a painting on the wall", (-5, 5), False, None),
+    ),
+)
+def test_where_somebody_looks_follows_from_what_is_seen(text, pitches, sweeps, leans):
+    seen = read_as(Gaze, text)
+    assert pitches[0] < seen.pitch < pitches[1] and (not sweeps or seen.sweep > 10)
+    assert leans is None or (seen.lean > 10 if leans else not seen.lean)
 
 
-def test_only_what_says_more_than_the_floor_is_more_than_picking_up():
-    assert not read_as(Handling, "a person picks up a box from the floor").said
-    assert not read_as(Handling, "a person carries a box").said
-    for text in (
-        "picks up a cup",
-        "picks up a cup with the left hand",
-        "picks up a box and puts it down",
-        "takes a box from the shelf",
-    ):
-        assert read_as(Handling, text).said
+def test_what_hands_meet_is_as_low_as_that_and_what_is_not_known_is_straight_ahead():
+    pitches = [read_as(Gaze, f"looks at the {thing}").pitch for thing in ("statue", "vase", "box")]
+    assert pitches == sorted(pitches) and pitches[0] < 20 < 40 < pitches[2]
+
+
+@pytest.mark.xfail(strict=True, reason="the reader takes it for something else")
+def test_what_is_not_known_is_straight_ahead():
+    assert abs(read_as(Gaze, "looks at the contraption").pitch) < 5
+
+
+@pytest.mark.parametrize(
+    "text",
+    rows(
+        "looks at his watch", "looks around the room", "looks over his shoulder", "looks for a house",
+        "shades his eyes and looks at the sea", "walks and looks at the sea", "looks to the left",
+        "looks up at the sky", "looks tired", "looks at his hands",
+    ),
+)  # fmt: skip
+def test_gestures_of_looking_and_what_is_done_beside_it_are_none(text):
+    assert read_as(Gaze, text) is None
 
 
 def test_what_limbs_do_beside_a_ground_is_a_voice_of_its_own_and_a_look_down_at_a_cliff_is_none():

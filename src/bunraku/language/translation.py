@@ -447,7 +447,7 @@ def translate(prompt: str) -> Translation:
     for other in ("de", "fr", "es") if english < 1 else ():
         concepts = scan_spaced(prompt, other)
         counted = [concept.kind for concept in concepts if concept.kind not in ("comma", "stop", "number")]
-        share = 1 - counted.count("unknown") / len(counted) if counted else 0.0
+        share = (len(counted) - counted.count("unknown")) / len(counted) if counted else 0.0  # a tie is one in floats
         says = "verb" in counted or "unit" in counted
         if share > max(english, _MOST if says else _SOME):
             shares.append((says, share, other, concepts))
