@@ -5,7 +5,7 @@ from scipy.spatial.transform import Rotation
 
 from bunraku.core.body.layout import JOINT_COUNT, JOINT_PARENTS
 from bunraku.core.body.reference import reference_body
-from bunraku.core.skinning import posed_points
+from bunraku.core.motion import posed_points
 
 
 def skin_reference(vertices: np.ndarray, weights: np.ndarray, transforms: np.ndarray) -> np.ndarray:

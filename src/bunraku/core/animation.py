@@ -13,7 +13,7 @@ from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 
-from bunraku.core.character import Character, Handles, Rig, check_weighed
+from bunraku.core.character import Character, Handles, Rig
 from bunraku.core.geometry.curves import smooth_step
 from bunraku.core.geometry.rotations import Resampling, axis_angle_from_matrix, matrix_from_axis_angle, matrix_y
 from bunraku.core.motion import HandleMotion, check_rate, frozen_array, resample
@@ -44,7 +44,7 @@ class Animation(Shown):
     reference: HandleMotion | None = None
 
     def __post_init__(self) -> None:
-        check_weighed(self.character, self.handles)
+        self.handles.check_vertices(len(self.character.vertices), self.character.name)
         moved, have = self.motion.translations.shape[1], len(self.handles.positions)
         if moved != have:
             raise MotionError(f"the motion has {moved} handles but the character has {have}")

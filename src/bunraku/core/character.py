@@ -204,6 +204,11 @@ class Handles(FrozenArrays):
         """The handle whose part each handle plays, shape (K,); without `roles` its own."""
         return np.arange(len(self.positions)) if self.roles is None else self.roles
 
+    def check_vertices(self, count: int, name: str) -> None:
+        """Raise CharacterError unless they weigh as many vertices as the character of this name has."""
+        if len(self.weights) != count:
+            raise CharacterError(f"the handles weigh {len(self.weights)} vertices but {name} has {count}")
+
     def top(self, count: int = 4) -> Handles:
         """The same handles with the largest `count` weights of each vertex, renormalised, as viewers read them."""
         if ((self.weights != 0).sum(axis=1) <= count).all():
@@ -213,13 +218,6 @@ class Handles(FrozenArrays):
         rows, places = np.nonzero(shares)
         kept[rows, indices[rows, places]] = shares[rows, places]
         return Handles(self.positions, kept, self.features, self.roles, self.rigid)
-
-
-def check_weighed(character: Character, handles: Handles) -> None:
-    """Raise CharacterError unless handles weigh as many vertices as a character has."""
-    weighed, have = len(handles.weights), len(character.vertices)
-    if weighed != have:
-        raise CharacterError(f"the handles weigh {weighed} vertices but {character.name} has {have}")
 
 
 def written_rig(character: Character) -> Rig:

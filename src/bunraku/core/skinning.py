@@ -4,31 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Any
 
 import numpy as np
-
-Array = Any  # numpy.ndarray, or a tensor
-
-
-def _product(matrices: Array, points: Array) -> Array:
-    if isinstance(matrices, np.ndarray):
-        return np.einsum("...ij,...j->...i", matrices, points)
-    return (matrices @ points[..., None])[..., 0]
-
-
-def handle_offsets(positions: Array, translations: Array, rotations: Array) -> Array:
-    """What a handle's local transform adds to a rotated vertex, `R (v - h) + h + t = R v + (h + t - R h)`, shape (...,
-    K, 3), by rest positions h [m], local translations t [m] and rotations R (..., K, 3, 3); numpy arrays or tensors.
-    """
-    return positions + translations - _product(rotations, positions)
-
-
-def posed_points(transforms: Array, points: Array) -> Array:
-    """Where affine transforms [A | b], shape (..., K, 3, 4), take one point each [m], `A p + b`, shape (..., K, 3);
-    numpy arrays or tensors.
-    """
-    return _product(transforms[..., :3], points) + transforms[..., 3]
 
 
 def skin(vertices: np.ndarray, weights: np.ndarray, transforms: np.ndarray) -> np.ndarray:

@@ -14,8 +14,7 @@ from bunraku.core.body.reference import reference_body
 from bunraku.core.character import Character, Handles
 from bunraku.core.files import check_output_folder, read_bounded
 from bunraku.core.geometry.rotations import nearest_rotation
-from bunraku.core.motion import HandleMotion
-from bunraku.core.skinning import posed_points
+from bunraku.core.motion import HandleMotion, posed_points
 from bunraku.errors import FormatError, MotionError, OptionError
 from bunraku.files.gltf.carry import clip_names, clip_number
 from bunraku.files.gltf.clips import SAME_BONES, merge_documents

@@ -256,22 +256,28 @@ class SamplingSettings:
         return np.broadcast_to(mesh, (rows, len(mesh)))
 
 
+@dataclass(frozen=True)
+class Beginning:
+    """What a candidate is drawn from."""
+
+    script: Sequence[Clause]  # its clauses
+    noise: tuple[int, int]  # seed and row (see `drawn_noise`)
+    body: GuidanceExample | None  # the example that it starts from; None for none
+    limbs: GuidanceExample | None  # that of the gestures that are made at the same time; None for none
+
+
 def draw_candidates(
-    texts: Texts, scripts: Sequence[Sequence[Clause]], noise: list[tuple[int, int]], how: SamplingSettings, loop: bool,
-    path: GroundPath | None, examples: Sequence[tuple[GuidanceExample | None, GuidanceExample | None]],
+    texts: Texts, beginnings: Sequence[Beginning], how: SamplingSettings, loop: bool, path: GroundPath | None,
     critic: Critic | None = None, complete: bool = True,
 ) -> list[Candidate]:  # fmt: skip
-    """One candidate for each script from its own noise, all in one batch.
+    """One candidate from each beginning, all in one batch.
 
     Args:
         texts: The scripts as the denoiser reads them.
-        scripts: The clauses of each.
-        noise: Seed and row of each (see `drawn_noise`).
+        beginnings: One of each candidate.
         how: The settings.
         loop: Make loops.
         path: Path of the root, in metres of the reference body; None for its own way.
-        examples: Examples that each starts from, and those of the gestures that are made at the same time; None for
-            none.
         critic: Guides them towards their sentences; None for no guidance.
         complete: Ask for the adaptation of what examples lead to the end, too: nothing else of it is the network's.
     """
@@ -280,25 +286,28 @@ def draw_candidates(
     from bunraku.generation.sampler import Steering, plan_windows, sample_plans
 
     model = how.denoiser
+    scripts = [beginning.script for beginning in beginnings]
     lengths = [frames_of([clause.seconds for clause in script], model.config.fps) for script in scripts]
     plans = [plan_windows(parts, model.config.frames, loop=loop) for parts in lengths]
     tracks = [  # limbs with an example are laid over the motion
-        track for row, script in enumerate(scripts) if (track := PartTrack.of(row, script, examples[row][1] is None))
+        track
+        for row, beginning in enumerate(beginnings)
+        if (track := PartTrack.of(row, beginning.script, beginning.limbs is None))
     ]
     sentences = [clause.body.text for script in scripts for clause in script]
     text = texts.batch(sentences + [sentence for track in tracks for sentence in track.sentences])
     statistics = FeatureStatistics(model.mean, model.std)
     plans += [plans[track.motion] for track in tracks]
-    noise = noise + [noise[track.motion] for track in tracks]
     sizes = [plan.frames for plan in plans]
 
     owners = [*range(len(scripts)), *(track.motion for track in tracks)]
+    noise = [beginnings[row].noise for row in owners]
     ways: list[np.ndarray] = []
     if path is not None:
         ways = [way_of(path, sum(own), model.config.fps, script) for own, script in zip(lengths, scripts, strict=True)]
     held = _held([ways[row] for row in owners], sizes, statistics, model.config.fps) if ways else None
 
-    starts = [first for first, _ in examples] + [examples[track.motion][1] for track in tracks]
+    starts = [beginning.body for beginning in beginnings] + [beginnings[track.motion].limbs for track in tracks]
     guide = _guided(starts, [lengths[row] for row in owners], sizes, statistics, loop, complete or bool(tracks))
     asked = [part.max() >= 0 for part in _split(guide[2], sizes)] if guide else [True] * len(sizes)
     classifier_guidance = None
@@ -327,7 +336,7 @@ def draw_candidates(
             features = straightened(features, timed, model.config.fps)
             features = turned_as_asked(features, timed, model.config.fps)
             features = at_once(features, timed, model.config.fps)
-        limbs = examples[row][1]
+        limbs = beginnings[row].limbs
         if limbs is not None and any(clause.limbs_meanwhile for clause in script):
             gesture = statistics.restore(limbs.on(own_lengths, sizes[row], statistics, closed=loop).values)
             features = with_limbs(features, gesture, timed)

@@ -16,6 +16,7 @@ from bunraku.core.travel import FADE, GroundPath, _fade, moved, placed_at, put_b
 from bunraku.errors import MotionError, OptionError
 from bunraku.generation.candidates import (
     MADE_UNTIL,
+    Beginning,
     SamplingFields,
     SamplingSettings,
     arrive,
@@ -108,20 +109,19 @@ def generate_motions(
     def draw(rows: list[int], indices: list[int], complete: bool = False) -> list[Candidate]:
         """Candidates, without those that would start from what one did before."""
         origins: list[tuple[int, int]] = []
-        examples: list[tuple[GuidanceExample | None, GuidanceExample | None]] = []
+        beginnings: list[Beginning] = []
         for row, index in zip(rows, indices, strict=True):
             start = example(row, index)
             if complete or start == (None, None) or (row, *start) not in before:
                 origins.append((row, index))
-                examples.append(start)
+                own_noise = noise[row][0], noise[row][1] + _APART * index
+                beginnings.append(Beginning(scripts[row], own_noise, *start))
                 before.append((row, *start))
         if not origins:
             return []
-        pairs = [(noise[row][0], noise[row][1] + _APART * index) for row, index in origins]
         first = how.candidates == 1 or not (complete or any(index >= how.candidates for _, index in origins))
         again = how if first else replace(how, progress=None)
-        chosen_scripts = [scripts[row] for row, _ in origins]
-        drawn = draw_candidates(texts, chosen_scripts, pairs, again, loop, path, examples, guides, complete)
+        drawn = draw_candidates(texts, beginnings, again, loop, path, guides, complete)
         return [replace(candidate, origin=origin) for candidate, origin in zip(drawn, origins, strict=True)]
 
     rows = list(range(len(scripts)))

@@ -75,12 +75,13 @@ def fits_into(pack: ExamplePack, found: Found, frames: int) -> bool:
 
 def fills(pack: ExamplePack, found: Found, frames: int) -> bool:
     """Whether an example can last for so many frames, if its actions are of those that go on."""
-    example = pack.examples[found.number]
+    if pack.made[found.number]:
+        return True
     goes = all(is_cyclic(action) and not stays_down(action) for action in pack.said[found.number].actions)
-    if example.made or not goes or goes_on(pack, found):
+    if not goes or goes_on(pack, found):
         return True
     ends = pack.features(found.number)[[0, -1], 3]
-    return bool(abs(ends[1] - ends[0]) <= CROUCH) or SLOWED * example.frames + REST * FPS >= frames
+    return bool(abs(ends[1] - ends[0]) <= CROUCH) or SLOWED * pack.examples[found.number].frames + REST * FPS >= frames
 
 
 def laid(

@@ -18,9 +18,9 @@ from bunraku.apparel.physics.simulate import simulate
 from bunraku.core.animation import RigAnimation
 from bunraku.core.character import Character
 from bunraku.core.geometry.rotations import matrix_from_quaternion, quaternion_from_matrix, quaternion_slerp
-from bunraku.core.motion import HandleMotion
+from bunraku.core.motion import HandleMotion, posed_points
 from bunraku.core.parallel import run_parallel
-from bunraku.core.skinning import posed_points, skin
+from bunraku.core.skinning import skin
 from bunraku.errors import BunrakuError, CharacterError
 from bunraku_lab.datasets.apparel.build import body_animation, source_character
 from bunraku_lab.datasets.apparel.checks import DEEP, BodyVolume, deep_inside

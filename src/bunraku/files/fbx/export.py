@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bunraku.core.animation import Animation, RigAnimation
-from bunraku.core.character import check_weighed, written_rig
+from bunraku.core.character import written_rig
 from bunraku.core.files import atomic_write
 from bunraku.core.geometry.axes import FileFrame
 from bunraku.core.motion import checked_fps
@@ -100,7 +100,7 @@ def write_character(
     """
     bones = None
     if handles is not None:
-        check_weighed(character, handles)
+        handles.check_vertices(len(character.vertices), character.name)
         bones = Bones.of_handles(handles)
     if rig:
         bones = Bones.of_rig(written_rig(character))

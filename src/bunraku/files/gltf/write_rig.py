@@ -13,7 +13,7 @@ import numpy as np
 from bunraku.core.animation import Animation, RigAnimation
 from bunraku.core.avatars import VrmModel
 from bunraku.core.body.layout import BESIDE, handle_names
-from bunraku.core.character import Character, Handles, Rig, check_weighed, top_influences, written_rig
+from bunraku.core.character import Character, Handles, Rig, top_influences, written_rig
 from bunraku.core.geometry.rotations import Resampling, continuous, nearest_rotation, quaternion_from_matrix
 from bunraku.core.motion import checked_fps
 from bunraku.files.gltf.carry import MeshCarrier, carry_clips, carry_images, carry_tree
@@ -172,7 +172,7 @@ def write_character(
             add_spring_extras(builder.tree, avatar, nodes)
         return finish_document(builder, path)
     if handles is not None:
-        check_weighed(character, handles)
+        handles.check_vertices(len(character.vertices), character.name)
     return finish_document(build_document(character, handles, path)[0], path)
 
 

@@ -16,8 +16,7 @@ from bunraku.anatomy.anatomy import Anatomy
 from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.curves import correlated, gaussian
 from bunraku.core.geometry.rotations import Resampling, matrix_from_6d, matrix_to_6d
-from bunraku.core.motion import HandleMotion
-from bunraku.core.skinning import handle_offsets
+from bunraku.core.motion import HandleMotion, handle_offsets
 from bunraku.retarget.stages.stage import Fitting, Stage
 
 KERNEL = np.array([-1, 4, 10, 4, -1]) / 16

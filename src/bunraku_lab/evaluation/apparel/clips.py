@@ -22,7 +22,8 @@ from bunraku.apparel.physics.simulate import simulate
 from bunraku.core.animation import RigAnimation
 from bunraku.core.character import Character
 from bunraku.core.geometry.graph import unique_edges
-from bunraku.core.skinning import posed_points, skin
+from bunraku.core.motion import posed_points
+from bunraku.core.skinning import skin
 from bunraku_lab.datasets.apparel import ApparelData
 from bunraku_lab.datasets.apparel.build import body_animation, record
 from bunraku_lab.datasets.apparel.checks import BodyVolume, PushOut, deep_inside

@@ -10,8 +10,8 @@ from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.graph import clean_mesh, unique_edges
 from bunraku.core.geometry.surface import split_estimate, split_long_edges
-from bunraku.core.motion import HandleMotion
-from bunraku.core.skinning import handle_offsets, part_means, register, skin
+from bunraku.core.motion import HandleMotion, handle_offsets
+from bunraku.core.skinning import part_means, register, skin
 
 _LIGHT = 1e-3  # weight under which a vertex has no say in a part, by definition
 

@@ -16,8 +16,8 @@ from bunraku.anatomy.handles.predict import predict_handles
 from bunraku.core.animation import Animation
 from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.graph import unique_edges
-from bunraku.core.motion import HandleMotion
-from bunraku.core.skinning import posed_points, skin
+from bunraku.core.motion import HandleMotion, posed_points
+from bunraku.core.skinning import skin
 from bunraku.errors import BunrakuError
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku_lab.datasets.characters.build import HELD_OUT

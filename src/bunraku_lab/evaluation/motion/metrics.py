@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bunraku.core.body.reference import reference_body
-from bunraku.core.motion import HandleMotion
-from bunraku.core.skinning import posed_points
+from bunraku.core.motion import HandleMotion, posed_points
 from bunraku.errors import OptionError
 
 

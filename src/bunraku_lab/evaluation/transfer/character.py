@@ -14,8 +14,7 @@ from bunraku.core.body.layout import JOINT_COUNT
 from bunraku.core.body.reference import LIMB_CHILD
 from bunraku.core.character import Character
 from bunraku.core.geometry.axes import AXES, axis_vector, upright_rotation
-from bunraku.core.motion import HandleMotion
-from bunraku.core.skinning import posed_points
+from bunraku.core.motion import HandleMotion, posed_points
 from bunraku.errors import BunrakuError, FormatError
 from bunraku.retarget.fit import Stages
 from bunraku.retarget.rig_parts import RigParts

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from bunraku.core.body.reference import LOOSE_ON_PEOPLE
 from bunraku.core.files import remove_leftovers
-from bunraku.core.skinning import handle_offsets
+from bunraku.core.motion import handle_offsets
 from bunraku.generation.sampler import sampling_steps
 from bunraku.language.encoders import TextEncoder
 from bunraku_lab.datasets.characters.bank import CharacterBank

@@ -7,7 +7,8 @@ from typing import Any
 
 import torch
 
-from bunraku.core.skinning import EMPTY, PULL, handle_offsets
+from bunraku.core.motion import handle_offsets
+from bunraku.core.skinning import EMPTY, PULL
 
 
 def register_torch(

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from bunraku.anatomy.handles.limbs import FAMILIES, SIDES, limb_handles
 from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES
 from bunraku.core.geometry.rotations import matrix_from_6d
-from bunraku.core.skinning import handle_offsets
+from bunraku.core.motion import handle_offsets
 from bunraku.generation.features import ROOT_SIZE
 from bunraku_lab.datasets.characters.bank import CharacterBank
 from bunraku_lab.nn.checkpoints import TrainingState
