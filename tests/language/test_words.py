@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 
+from bunraku.core.files import PACKAGE_WEIGHTS
 from bunraku.language import foreign_tagger
 from bunraku.language.foreign_tagger import load_tagger, tagged, units
 from bunraku.language.foreign_words import scan_spaced
@@ -267,7 +268,10 @@ def test_sides_numbers_and_order_of_a_word_that_the_network_reads_are_the_tables
     assert nothing.language == "en" and not nothing.concepts
 
 
-def test_without_weights_the_table_reads_alone(monkeypatch, tmp_path):
+def test_without_the_tagger_the_table_reads_alone(monkeypatch, tmp_path):
+    for path in PACKAGE_WEIGHTS.glob("*.safetensors"):
+        if path.stem != "tagger":
+            (tmp_path / path.name).symlink_to(path)
     monkeypatch.setenv("BUNRAKU_WEIGHTS", str(tmp_path))
     concepts = scan_spaced("Eine Person wuppert und geht", "de")
     assert tagged("Eine Person wuppert und geht", "de", concepts) == concepts
