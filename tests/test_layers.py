@@ -42,7 +42,7 @@ BUDGET = {
     "bunraku_lab/description": (766, 5),
     "bunraku_lab/synthetic": (5940, 30),
     "bunraku_lab/baselines": (510, 3),
-    "bunraku_lab/datasets": (3863, 21),  # fronts of a body's volume, which only the laboratory needs now
+    "bunraku_lab/datasets": (3863, 21),  # volumes and registration of bodies, which only the laboratory needs now
     "bunraku_lab/training": (7356, 41),  # the pack of clips of animals
     "bunraku_lab/evaluation": (4220, 29),
     "bunraku_lab/cli": (745, 7),
