@@ -87,8 +87,8 @@ def test_a_step_learns_from_shards_and_a_run_goes_on(tmp_path):
     )
     config.prepare()
     first = PartTrainer(config)
-    before = first.model.enter[0].weight.detach().clone()
+    before = first.model.get_parameter("enter.0.weight").detach().clone()
     assert first.learn().is_file()
-    assert not np.allclose(before.numpy(), first.model.enter[0].weight.detach().numpy())
+    assert not np.allclose(before.numpy(), first.model.get_parameter("enter.0.weight").detach().numpy())
     again = PartTrainer(config)
     assert again.resume() and again.step == 2
