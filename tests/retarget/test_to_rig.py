@@ -10,8 +10,8 @@ import trimesh
 import bunraku
 from bunraku import CharacterError, SkeletalMotion
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.anatomy.legs import legs_of_rig
 from bunraku.anatomy.names.bone_names import rig_handles
+from bunraku.anatomy.rig_limbs import four_legs_of_rig, legs_of_rig
 from bunraku.core.animation import RigAnimation
 from bunraku.core.body.layout import HANDLE_NAMES, JOINT_NAMES
 from bunraku.core.body.reference import LIMB_CHILD, reference_body
@@ -421,6 +421,37 @@ def test_many_legs_are_known_by_the_tree_of_their_bones():
     legs = parts.parts[1:].reshape(8, 3)
     assert len(set(legs[:, 0])) == 8 and len(set(legs[:, :2].ravel())) == 16  # each has handles of its own
     assert legs_of_rig(spider(2)) is None and legs_of_rig(make_sample("dog", rigged=True)) is None
+
+
+def nameless(kind: str, anchors: bool = False) -> Character:
+    """A rigged sample whose bones are called by numbers; where `anchors`, each thigh hangs on a further bone that
+    begins in the middle of the body and holds nothing, as in rigs of horses.
+    """
+    character = make_sample(kind, rigged=True)
+    rig = character.rig
+    parents, transforms = [*rig.parents], [*rig.transforms]
+    for thigh in [rig.names.index(f"{side}UpLeg") for side in ("Left", "Right")] if anchors else []:
+        transforms.append(transforms[thigh] * np.where(np.arange(16).reshape(4, 4) == 3, 0, 1))
+        parents.append(parents[thigh])
+        parents[thigh] = len(parents) - 1
+    names = tuple(f"b{number}" for number in range(len(parents)))
+    return replace(
+        character, rig=Rig(names, np.array(parents), np.stack(transforms), rig.indices, rig.weights), source=None
+    )
+
+
+def test_four_legs_are_known_by_the_skin_of_their_bones():
+    dog = nameless("dog", anchors=True)
+    plan = understood_rig(dog).anatomy.plan
+    assert plan.kind == "four legs" and plan.tail and (plan.hind, plan.front) == (2, 2)
+    parts = four_legs_of_rig(dog, np.full(len(dog.rig.names), -1))
+    named = make_sample("dog", rigged=True).rig.names
+    told = {named[bone]: HANDLE_NAMES[part] for bone, part in enumerate(parts[: len(named)]) if part >= 0}
+    for bone, part in (("LeftUpLeg", "left_hip"), ("RightLeg", "right_knee"), ("LeftArm", "left_shoulder"),
+                       ("RightForeArm", "right_elbow"), ("Head", "head"), ("Tail1", "tail")):  # fmt: skip
+        assert told[bone] == part
+    for kind in ("person", "robot"):
+        assert four_legs_of_rig(nameless(kind), np.full(len(nameless(kind).rig.names), -1)) is None
 
 
 def test_legs_that_rest_level_stand():

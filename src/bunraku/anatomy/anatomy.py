@@ -222,7 +222,7 @@ class Anatomy:
     @cached_property
     def legs(self) -> list[Leg]:
         """The limbs that it stands on; empty where it has no legs."""
-        return find_legs(self.mesh, self.mesh_handles, self.joints, self.upright)
+        return find_legs(self.mesh, self.mesh_handles, self.joints, self.upright, self.named)
 
     @cached_property
     def _all_arms(self) -> list[Leg]:

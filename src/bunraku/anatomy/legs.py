@@ -12,9 +12,8 @@ import numpy as np
 from bunraku.anatomy.handles.limbs import ARMS, LEGS, SIDES
 from bunraku.anatomy.joints import Joints
 from bunraku.anatomy.rest_pose import upright
-from bunraku.core.animation import bone_order
-from bunraku.core.body.layout import CHEST, HANDLE_COUNT, HANDLE_NAMES
-from bunraku.core.body.reference import handle_positions, reference_body
+from bunraku.core.body.layout import CHEST, HANDLE_NAMES
+from bunraku.core.body.reference import reference_body
 from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.rotations import rotation_between
 from bunraku.core.geometry.surface import extreme_points, part_extremes
@@ -27,16 +26,6 @@ SPLAYED = 0.5  # a spider's legs, which rest level, are as near as if it were so
 SHORTEST = 0.12  # least length of a leg, over the height; shorter ones are fins and stubs
 SOLE = 0.25  # end of a leg that counts as its foot if it has no handle for one, over its length
 OWN = 0.45  # least weight that the lower part of a leg has on some vertex; on a blob, parts blur
-# Of legs that are found by the shape of the tree, over the longest; chosen by eye on two spiders.
-ALIKE_LEGS = 0.6  # how long a leg is at the least
-LEVEL = 0.15  # how much higher than the lowest a tip is
-NEAR_MIDDLE = 0.25  # how far to the side a leg begins, and what is before or behind the legs
-SHORT = 0.1  # a bone that is shorter goes with the one above it
-_SPARE = (
-    "left_wing", "right_wing", "left_fingers", "right_fingers", "left_foot", "right_foot", "left_collar",
-    "right_collar", "head_top", "face", "spine3", "tail_tip",
-)  # fmt: skip
-"""Handles of which a body on many legs can do without."""
 _PARTS = [*LEGS, *ARMS]
 _LEGS = len(_PARTS) // 2
 
@@ -67,66 +56,7 @@ class Leg:
         return self.foot[0] if self.foot else self.lower
 
 
-def legs_of_rig(character: Character) -> Handles | None:
-    """The handles of a body whose bones make three pairs of legs or more, each leg with handles of its own, by the
-    shape of the tree alone; None for other rigs.
-
-    Legs are chains of bones that leave the trunk near the middle, with a partner on the other side, about as long as
-    the longest, and whose tips are about level. The hindmost are a person's legs, the foremost its arms, and those
-    between have handles that nothing else needs.
-    """
-    rig = character.rig
-    if rig is None:
-        return None
-    order, parents, at = bone_order(rig.parents), rig.parents, rig.positions
-    bears = np.bincount(parents[parents >= 0], minlength=len(parents))
-    chains = []
-    for tip in np.flatnonzero((bears == 0) & (parents >= 0)).tolist():
-        chain = [tip]
-        while parents[chain[-1]] >= 0 and bears[parents[chain[-1]]] == 1:
-            chain.append(int(parents[chain[-1]]))
-        if len(chain) > 2 and parents[chain[-1]] >= 0:
-            chains.append(chain[::-1])
-    reach = np.array([np.linalg.norm(at[chain[-1]] - at[chain[0]]) for chain in chains])
-    long = [chain for chain, far in zip(chains, reach, strict=True) if far > ALIKE_LEGS * reach.max()]
-    lowest = min((at[chain[-1], 1] for chain in long), default=0.0)
-    legs = [chain for chain in long if at[chain[-1], 1] < lowest + LEVEL * reach.max()
-            and abs(at[chain[0], 0]) < NEAR_MIDDLE * reach.max()]  # fmt: skip
-    sides = [sorted((leg for leg in legs if side * at[leg[-1], 0] > 0), key=lambda leg: at[leg[-1], 2])
-             for side in (1, -1)]  # fmt: skip
-    count = len(sides[0])
-    if count < 3 or len(sides[1]) != count:
-        return None
-    handles, roles = np.zeros(len(parents), int), np.arange(HANDLE_COUNT)
-    start = np.mean([at[leg[0], 2] for leg in legs])
-    for bone in order:  # before the legs is the head, behind them the tail, and each bears what is below it
-        above = int(parents[bone])
-        if above >= 0:
-            part = HANDLE_NAMES.index("head") if at[bone, 2] > start else _TAIL[0]
-            beyond = abs(at[bone, 2] - start) > NEAR_MIDDLE * reach.max()
-            handles[bone] = handles[above] or (part if beyond else 0)
-    spare = iter(map(HANDLE_NAMES.index, _SPARE))
-    for number in range(count):
-        for side, own in enumerate(sides):
-            leg, columns = own[number], _PARTS[side][:3]
-            if number == count - 1:
-                columns = _PARTS[_LEGS + side][:3]
-            elif number:
-                columns = [handle for _, handle in zip(columns, spare, strict=False)]
-            roles[columns] = _PARTS[side][: len(columns)]
-            if not columns:
-                return None
-            length = np.linalg.norm(np.diff(at[leg], axis=0), axis=1)
-            bent = [bone for bone, far in zip(leg, length, strict=False) if far > SHORT * length.sum()]
-            for bone in leg:
-                place = max(sum(leg.index(bone) >= leg.index(other) for other in bent) - 1, 0)
-                handles[bone] = columns[min(place, len(columns) - 1)]
-    weights = rig.dense_weights() @ np.eye(HANDLE_COUNT, dtype=np.float32)[handles]
-    weights[:, 0] += 1 - weights.sum(axis=1)
-    return Handles(handle_positions(character.vertices, weights, character.areas), weights, roles=roles)
-
-
-def find_legs(character: Character, handles: Handles, joints: Joints, stands: bool) -> list[Leg]:
+def find_legs(character: Character, handles: Handles, joints: Joints, stands: bool, sure: bool = False) -> list[Leg]:
     """The limbs that a character stands on, none where it has fewer than two.
 
     An upright body stands on its two legs, any other on every limb that reaches the ground in the rest pose, those with
@@ -137,6 +67,7 @@ def find_legs(character: Character, handles: Handles, joints: Joints, stands: bo
         handles: Its handles.
         joints: Where they meet.
         stands: Whether it is upright.
+        sure: Whether the bones of a rig tell that its limbs are limbs, however little skin their lower parts hold.
     """
     out = []
     seen, heights = character.surface, character.vertices[:, 1]
@@ -148,7 +79,7 @@ def find_legs(character: Character, handles: Handles, joints: Joints, stands: bo
         if stands and number >= _LEGS:
             continue
         for chain in _chains(parts, handles.played, joints):
-            leg = _leg(character, handles, joints, chain)
+            leg = _leg(character, handles, joints, chain, sure)
             if leg is None or leg.length < SHORTEST * height:
                 continue
             if stands or heights[leg.foot_area].min() < floor + near:
@@ -183,7 +114,7 @@ def _chains(parts: list[int], played: np.ndarray, joints: Joints) -> list[list[i
     return out
 
 
-def _leg(character: Character, handles: Handles, joints: Joints, chain: list[int]) -> Leg | None:
+def _leg(character: Character, handles: Handles, joints: Joints, chain: list[int], sure: bool = False) -> Leg | None:
     if len(chain) < 2 and not handles.rigid:
         return None
     single = len(chain) == 1
@@ -193,7 +124,7 @@ def _leg(character: Character, handles: Handles, joints: Joints, chain: list[int
     blurred = bool(foot) and len(members) < 3  # a foot that holds no vertex mainly
     if blurred:
         members = np.flatnonzero(character.surface & (handles.weights[:, [lower, *foot]].sum(axis=1) > 0.5))
-    if len(members) < 3 or float(handles.weights[:, lower].max()) < OWN:
+    if len(members) < 3 or (not sure and float(handles.weights[:, lower].max()) < OWN):
         return None
     points = character.vertices[members].astype(np.float64)
     hip, knee = joints.positions[upper], joints.positions[lower]

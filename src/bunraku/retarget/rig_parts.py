@@ -16,11 +16,11 @@ from scipy.sparse import csr_matrix
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.handles.limbs import ARMS, LEGS, SIDES
 from bunraku.anatomy.joints import PRESENT, Joints, reference_joints
-from bunraku.anatomy.legs import legs_of_rig
 from bunraku.anatomy.names.bone_names import NO_HANDLE, handle_of_joints, limb_parents, resolve_joints, rig_handles
 from bunraku.anatomy.names.bone_words import part_of_name, without_prefix
 from bunraku.anatomy.names.skeleton_map import joints_by_structure, mmd_centre, mmd_skeleton_map
 from bunraku.anatomy.rest_pose import flat_feet, rest_rotations, upright
+from bunraku.anatomy.rig_limbs import four_legs_of_rig, legs_of_rig
 from bunraku.core.animation import bone_order
 from bunraku.core.avatars import MmdModel, mmd_model, vrm_model
 from bunraku.core.body.layout import BESIDE, HANDLE_COUNT, HANDLE_NAMES, HANDLE_PARENTS, WRISTS
@@ -275,15 +275,29 @@ def understood_rig(character: Character) -> RigParts | None:
     """The rig of a character that faces +Z: of a person, of four legs or more, or of a bird, read from the file, the
     names of its bones or their shape; None where it is none of these, or there is none.
     """
+    rig = character.rig
+    if rig is None:
+        return None
+    named = _readable(character, None)
+    if named is not None and named.humanoid:
+        return named
+    four = four_legs_of_rig(character, handle_of_joints(rig.names, rig.parents, rig.positions))
+    if four is not None:
+        return RigParts.of(character, four)
     many = legs_of_rig(character)
-    for shaped in (None, _shaped_parts(character)):
-        try:
-            parts = RigParts.of(character, shaped)
-        except CharacterError:
-            continue
-        if (parts.complete or parts.winged) and (many is None or parts.humanoid):
-            return parts
-    return None if many is None else RigParts.by_skin(Anatomy.of(character, many))
+    if many is not None:
+        return RigParts.by_skin(Anatomy.of(character, many))
+    if named is not None and (named.complete or named.winged):
+        return named
+    shaped = _readable(character, _shaped_parts(character))
+    return shaped if shaped is not None and shaped.humanoid else None
+
+
+def _readable(character: Character, known: np.ndarray | None) -> RigParts | None:
+    try:
+        return RigParts.of(character, known)
+    except CharacterError:
+        return None
 
 
 def is_humanoid_rig(character: Character) -> bool:
