@@ -16,6 +16,10 @@ LEGS = tuple(
     JOINT_NAMES.index(f"{side}_{part}") for part in ("hip", "knee", "ankle", "foot") for side in ("left", "right")
 )
 """Joints of the legs."""
+ARMS = tuple(
+    JOINT_NAMES.index(f"{side}_{part}") for part in ("shoulder", "elbow", "wrist") for side in ("left", "right")
+)
+"""Joints of the arms."""
 SIZE = 1.6
 """Height that the networks know characters at [m]; others are measured in units of theirs over this."""
 GRAVITY = 7.84

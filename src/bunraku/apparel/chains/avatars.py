@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 
+from bunraku.apparel.chains.chain import Chain
 from bunraku.apparel.chains.chain_rig import Chained
 from bunraku.apparel.chains.moving import steady_simulation
 from bunraku.core.animation import RigAnimation
@@ -169,7 +170,7 @@ def _swaying(chained: Chained, sway: _Sway) -> RigAnimation:
     )
     for bone in sorted(({top} | holders) - links):
         rotations[:, bone] = matrix_from_axis_angle((1.0 if bone == top else 0.7) * angles)
-    limbs = {body.bone for body in chained.colliders}
+    limbs = chained.legs & {body.bone for body in chained.colliders}
     for bone in sorted(limbs - links):
         phase = 2 * np.pi * STEP * time + (np.pi if rig.positions[bone, 0] > 0 else 0.0)
         swing = -sway.legs * np.sin(phase)
@@ -190,7 +191,10 @@ _DOWN = np.array([0.0, -1, 0])
 
 def mmd_avatar(chained: Chained) -> MmdModel:
     """The rigid bodies and joints of a character's chains, by the bones of its rig; the writer makes the rest."""
-    rig = chained.rig()
+    rooms = np.array([_rooms(chain, chained) - chain.width.max(initial=0) for chain in chained.chains])
+    # other programs throw out what lies within a collider at rest
+    clear = np.flatnonzero((rooms.reshape(-1, len(chained.colliders)) > 0).all(axis=0))
+    rig = replace(chained, colliders=tuple(chained.colliders[number] for number in clear)).rig()
     none = np.zeros((0, 3))
     return MmdModel(
         chained.character.name, "", "PMX 2.0", (), (), rig.bodies, rig.joints, np.zeros(0, np.uint8),
@@ -208,26 +212,28 @@ def vrm_avatar(chained: Chained) -> VrmModel:
         middle = body.position - rig.positions[body.bone]
         colliders.append(VrmCollider(body.bone, "capsule", middle - half, float(body.size[0]), middle + half))
     springs = []
+    groups: dict[tuple[int, ...], int] = {}
     for chain, end, values in zip(chained.chains, chained.ends, fitted_springs(chained), strict=True):
-        rooms = [_room(point, chained) for point in chain.points[1:]]
+        rooms = _rooms(chain, chained)
+        clear = tuple(np.flatnonzero(rooms > 0).tolist())  # what lies within one at rest would be thrown out of it
+        room = float(rooms[list(clear)].min(initial=np.inf))
         joints = []
-        for bone, width, room, setting in zip(chain.bones, chain.width, rooms, values, strict=True):
+        for bone, width, setting in zip(chain.bones, chain.width, values, strict=True):
             stiffness, drag, gravity = setting.tolist()
             radius = float(np.clip(min(0.6 * width, room), 0.0, 0.04))
             joints.append(VrmSpringJoint(int(bone), stiffness, gravity, _DOWN, drag, radius))
         joints.append(VrmSpringJoint(end, 1.0, 0.0, _DOWN, float(values[-1, 1]), 0.0))
-        # what lies within a collider at rest would be thrown out of it
-        springs.append(VrmSpring(chain.name, tuple(joints), (0,) if colliders and min(rooms) > 0 else ()))
-    groups = (tuple(range(len(colliders))),) if colliders else ()
-    return VrmModel("1.0", chained.character.name, {}, tuple(springs), tuple(colliders), groups)
+        group = (groups.setdefault(clear, len(groups)),) if clear else ()
+        springs.append(VrmSpring(chain.name, tuple(joints), group))
+    return VrmModel("1.0", chained.character.name, {}, tuple(springs), tuple(colliders), tuple(groups))
 
 
-def _room(point: np.ndarray, chained: Chained) -> float:
-    """Distance of a point from the nearest collider at rest [m]; infinite without colliders."""
-    out = np.inf
+def _rooms(chain: Chain, chained: Chained) -> np.ndarray:
+    """Distance of a chain's tails from each collider at rest [m], shape (C,)."""
+    out = []
     for body in chained.colliders:
-        along = body.rotation[:, 1]
-        half = 0.5 * body.size[1]
-        at = np.clip((point - body.position) @ along, -half, half)
-        out = min(out, float(np.linalg.norm(point - body.position - at * along) - body.size[0]))
-    return out
+        along, half = body.rotation[:, 1], 0.5 * body.size[1]
+        away = chain.points[1:] - body.position
+        at = np.clip(away @ along, -half, half)
+        out.append(np.linalg.norm(away - at[:, None] * along, axis=1).min() - body.size[0])
+    return np.array(out)

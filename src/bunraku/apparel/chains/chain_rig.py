@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bunraku.apparel.chains.chain import Chain
-from bunraku.apparel.clothed import LEGS
-from bunraku.apparel.physics.bodies import body_limbs
+from bunraku.apparel.clothed import ARMS, LEGS
+from bunraku.apparel.physics.bodies import body_limbs, rods_of
 from bunraku.apparel.physics.rig import ApparelRig, still_body
 from bunraku.core.animation import Animation, RigAnimation
 from bunraku.core.avatars import MMD_METRE, MmdBody, MmdJoint
@@ -229,8 +229,9 @@ class Chained:
     # ties, near: as of `LaidChains`
     ties: tuple[tuple[int, int], ...]
     ends: tuple[int, ...]  # bone of the end of each chain
-    colliders: tuple[MmdBody, ...]  # capsules of the legs
+    colliders: tuple[MmdBody, ...]  # capsules of the body
     near: tuple[tuple[int, int, float], ...] = ()
+    legs: frozenset[int] = frozenset()  # bones of the legs
 
     def rig(self, tied: bool = True) -> ApparelRig:
         """Its rigid bodies and joints. Leave the ties out where `SmoothNeighbours` follows; that is much faster."""
@@ -288,20 +289,12 @@ def with_chains(character: Character, laid: LaidChains, bones: np.ndarray) -> Ch
     grown = Rig(tuple(names), np.array(parents, np.int64), transforms, indices, weights)
     grown_character = replace(character, rig=grown)
     moved = np.arange(len(names)) >= first
-    legs = {int(bones[joint]) for joint in LEGS}
-    colliders = tuple(_capsule(limb) for limb in body_limbs(grown_character, moved) if limb.bone in legs)
-    return Chained(grown_character, tuple(chains), laid.ties, tuple(range(last, len(names))), colliders, laid.near)
-
-
-def _capsule(box: MmdBody) -> MmdBody:
-    """A capsule in place of a limb's box."""
-    order = np.argsort(box.size)
-    radius = float(box.size[order[:2]].mean())
-    along = box.rotation[:, order[2]]
-    other = np.cross(along, box.rotation[:, order[0]])
-    axes = np.stack([np.cross(along, other), along, other], axis=1)
-    size = np.array([radius, max(2 * (float(box.size[order[2]]) - radius), 1e-3), 0.0])
-    return replace(box, shape="capsule", size=size, rotation=axes)
+    arms = {int(bones[joint]) for joint in ARMS}  # hair that rests on them would ride along
+    limbs = [limb for limb in body_limbs(grown_character, moved) if limb.bone not in arms]
+    colliders = tuple(rod for limb in limbs for rod in rods_of(limb))
+    legs = frozenset(int(bones[joint]) for joint in LEGS)
+    ends_of = tuple(range(last, len(names)))
+    return Chained(grown_character, tuple(chains), laid.ties, ends_of, colliders, laid.near, legs)
 
 
 def _skin(rig: Rig, laid: LaidChains, number: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

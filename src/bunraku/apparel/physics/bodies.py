@@ -97,25 +97,25 @@ def add_shape(owner: Any, body: MmdBody, position: np.ndarray, name: str, settin
     return True
 
 
-def add_rods(owner: Any, body: MmdBody, position: np.ndarray, name: str, settings: Mapping[str, Any]) -> bool:
-    """Add a body's shape as capsules only: up to three side by side, along its longest side, fill a box.
+def add_rods(owner: Any, body: MmdBody, position: np.ndarray, name: str, settings: Mapping[str, Any]) -> None:
+    """Add a body's shape as capsules only (`rods_of`), as `add_shape`; they are named `name`, an "r" and a number."""
+    for number, rod in enumerate(rods_of(body)):
+        add_shape(owner, rod, position, f"{name}r{number}", settings)
 
-    As `add_shape`; the shapes are named `name`, an "r" and a number.
-    """
+
+def rods_of(body: MmdBody) -> list[MmdBody]:
+    """Capsules in place of a box: up to three side by side, along its longest side, fill it. Other shapes stay."""
     if body.shape != "box":
-        return add_shape(owner, body, position, f"{name}r0", settings)
+        return [body]
     order = np.argsort(-body.size, kind="stable")
     long, wide, thin = np.maximum(body.size[order], SMALLEST)
     axes = body.rotation[:, order[[1, 0, 2]]] * [1.0, 1.0, np.linalg.det(body.rotation[:, order[[1, 0, 2]]])]
     count = int(np.clip(np.ceil(wide / thin), 1, MOST_RODS))
-    added = False
-    for number, across in enumerate(np.linspace(thin - wide, wide - thin, count) if count > 1 else [0.0]):
-        rod = replace(
-            body, shape="capsule", size=np.array([thin, 2 * (long - thin), 0.0]), rotation=axes,
-            position=body.position + across * axes[:, 0],
-        )  # fmt: skip
-        added |= add_shape(owner, rod, position, f"{name}r{number}", settings)
-    return added
+    size = np.array([thin, 2 * (long - thin), 0.0])
+    return [
+        replace(body, shape="capsule", size=size, rotation=axes, position=body.position + across * axes[:, 0])
+        for across in (np.linspace(thin - wide, wide - thin, count) if count > 1 else [0.0])
+    ]
 
 
 # Chosen by eye on simulations of Uka, Gene and the wardrobe.
