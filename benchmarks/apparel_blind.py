@@ -1,13 +1,13 @@
 """Bare meshes that move with and without apparel, side by side in a hidden order, for people to judge.
 
-    python benchmarks/apparel_blind.py ARCHIVE --draw                   the list of meshes, by lot: apparel_blind_4.txt
+    python benchmarks/apparel_blind.py ARCHIVE --draw                   the list of meshes, by lot: apparel_blind_5.txt
     python benchmarks/apparel_blind.py ARCHIVE FOLDER --key KEY         a sheet for each, and which is which
     python benchmarks/apparel_blind.py ARCHIVE --key KEY --answers A B  counts answers
 
 ARCHIVE holds MakeHuman's clothes and hair (`makehuman/`), and the files of the list (`files/`, the second and third
 word of their rows with `_` between). A sheet has two rows of moments for A and two for B: one moves with `--apparel
-auto`, the other without. Each mesh moves by one clip of the library, drawn by lot too. `--use first`, `second` and
-`third` take the lists whose pictures have been looked at since, `apparel_blind.txt` to `apparel_blind_3.txt`.
+auto`, the other without. Each mesh moves by one clip of the library, drawn by lot too. `--use first` to
+`fourth` take the lists whose pictures have been looked at since, `apparel_blind.txt` to `apparel_blind_4.txt`.
 Answers are lines "NUMBER A" or "NUMBER B"; "=" stands for no difference.
 """
 
@@ -101,11 +101,28 @@ STRIPPED = (  # every avatar of `walks_57.md` that wears something, whose rig is
     "tousei-seiso/mmd-viewer1 55 tousei-s_natsuyuki_eve_v2.0.pmx",
     "noname0310/web-mmd-viewer 56 noname03_yyb_hatsune_miku_10th_v1.02.pmx", "edvakf/MMD.js 57 edvakf_KAITO.pmd",
 )  # fmt: skip
+REST = (  # the people of that list that no lot had drawn, and four of another repository by their names alone
+    "srue1834/proyecto_graficas1 02 srue1834_chica.obj", "gunpowderstudios/BOD3D-TEST 07 gunpowde_rill.glb",
+    "chairielazizi/threejs_portfolio 22 chairiel_developer.glb", "edgora-ai/zhandi3 23 edgora-a_pilot_npc.glb",
+    "luosijie/loong-year-2024 28 luosijie_player.glb", "F-Aug-exe/Esc-y-Ser 29 F-Aug-ex_character.glb",
+    "MrDracs/avatarchat3Dwidget 30 MrDracs_girl.glb", "ronrob-lu/mobs_npc_monster 32 ronrob-l_character-a.glb",
+    "mtsml/kiaiiretekonchikushow 61 mtsml_hellomeg.glb", "mtsml/kiaiiretekonchikushow 62 mtsml_jk.glb",
+    "mtsml/kiaiiretekonchikushow 63 mtsml_stand_megu.glb", "mtsml/kiaiiretekonchikushow 64 mtsml_stand_ruri.glb",
+)  # fmt: skip
+AVATARS = (  # models of MikuMikuDance that are in no list above, whose rig is thrown away
+    "newpolaris/Mikudayo 71 amatsukaze.pmx", "tousei-seiso/mmd-viewer1 72 moona.pmx",
+    "tousei-seiso/mmd-viewer1 73 ruri.pmx", "eghrhegpe/MikuMikuAR 74 sample.pmx",
+    "newpolaris/Mikudayo 75 tsumi_miku.pmx", "newpolaris/Mikudayo 76 amatsukaze_full.pmx",
+    "tousei-seiso/mmd-viewer1 77 eve_v2.pmx", "tousei-seiso/mmd-viewer1 78 hoshino_ruri.pmx",
+    "mmdagent/mmdagent-mirror 79 mei_black.pmd", "tousei-seiso/mmd-viewer1 80 moona_coat.pmx",
+    "tousei-seiso/mmd-viewer1 81 tora_ruri.pmx", "newpolaris/Mikudayo 82 tsumi_more_cloth.pmx",
+)  # fmt: skip
 LISTS: dict[str, tuple[str, int, int, int, tuple[tuple[int, tuple[str, ...]], ...]]] = {
     "first": ("apparel_blind.txt", 2830, 830_000, 10, ((10, SEEN),)),
     "second": ("apparel_blind_2.txt", 2831, 880_000, 10, ((10, FRESH),)),
     "third": ("apparel_blind_3.txt", 2832, 890_000, 10, ((10, THIRD),)),
     "fourth": ("apparel_blind_4.txt", 2833, 920_000, 8, ((12, PEOPLE), (8, STRIPPED))),
+    "fifth": ("apparel_blind_5.txt", 2834, 940_000, 8, ((12, REST), (8, AVATARS))),
 }
 """Name of each list, what its lot is drawn by, its first seed, how many of the wardrobe and of MakeHuman there are, and
 how many of which files.
@@ -170,7 +187,7 @@ def main() -> None:
     parser.add_argument("--key", type=Path)
     parser.add_argument("--answers", type=Path, nargs="+")
     parser.add_argument("--draw", action="store_true")
-    parser.add_argument("--use", choices=tuple(LISTS), default="fourth")
+    parser.add_argument("--use", choices=tuple(LISTS), default="fifth")
     asked = parser.parse_args()
     if asked.draw:
         draw(asked.archive, asked.use)

@@ -1,6 +1,4 @@
-"""Simulated chains kept off the body: links rotated out of it, skirts outwards over the legs; and the repairs of chains
-in their order.
-"""
+"""Simulated chains kept off the body: links rotated out of it; and the repairs of chains in their order."""
 
 from __future__ import annotations
 
@@ -9,18 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
-from scipy.spatial import cKDTree
 
 from bunraku.anatomy.handles.networks import farthest_points
 from bunraku.apparel.body import ASIDE, BAND, PLANES, BodyPoints, Planes, PosedBody, surface_points
 from bunraku.apparel.chains.cloth_repairs import ChainRepair, DressedChains, SmoothNeighbours, averaged_turns
-from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.core.animation import RigAnimation
 from bunraku.core.body.layout import JOINT_NAMES
 from bunraku.core.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 from bunraku.core.skinning import skin
 
-_LEGS = [[JOINT_NAMES.index(f"{side}_{part}") for part in ("hip", "knee", "ankle")] for side in ("left", "right")]
 _LIMB = np.array([
     0 if not name.startswith(("left_", "right_")) or name.endswith("collar")
     else 1 + name.startswith("right_") + 2 * name.endswith(("hip", "knee", "ankle", "foot"))
@@ -33,42 +28,9 @@ STEEP = 0.3
 
 
 @dataclass(frozen=True)
-class LegBalls:
-    """Legs as rows of balls. All fields were chosen by eye."""
-
-    samples: int = 8  # balls of a thigh, and of a shin
-    thick: float = 0.045  # radius of a leg without skin that shows it, over the size [m]
-    gap: float = 0.012  # how far apparel stays off a leg, over the size [m]
-
-    def __call__(
-        self, affine: np.ndarray, clothed: ClothedCharacter, bones: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Centres of the balls [m], posed by transforms of all bones (N, P, 3) and at rest (P, 3); radii (P,)."""
-        posed, rests, radii = [], [], []
-        share = (np.arange(self.samples) + 0.5)[:, None] / self.samples
-        for leg in _LEGS:
-            for above, below in zip(leg[:-1], leg[1:], strict=True):
-                start, end = clothed.joints[above].astype(float), clothed.joints[below].astype(float)
-                frame = affine[:, bones[above]]
-                rest = start + share * (end - start)
-                rests.append(rest)
-                posed.append(np.einsum("nab,pb->npa", frame[:, :3, :3], rest) + frame[:, None, :3, 3])
-                surface = clothed.rest[(clothed.weights[:, above] > 0.5) & (clothed.part < 0)]
-                radius = self.thick * clothed.scale
-                if len(surface) > 8:
-                    along = (end - start) / max(float(np.linalg.norm(end - start)), 1e-9)
-                    away = surface - start
-                    off = np.linalg.norm(away - (away @ along)[:, None] * along, axis=1)
-                    radius = float(np.clip(np.percentile(off, 85), 0.4 * radius, 2 * radius))
-                radii.append(np.full(self.samples, radius + self.gap * clothed.scale))
-        return np.concatenate(posed, axis=1), np.concatenate(rests), np.concatenate(radii)
-
-
-@dataclass(frozen=True)
 class PushOutOfBody:
     """Links lie on the body and not in it, and neighbours go along. All fields were chosen by eye."""
 
-    legs: LegBalls = LegBalls()  # the legs that skirts must lie over
     each: int = 20  # points of a link that are looked at
     points: int = 3000  # points of the body
     passes: int = 9  # how often links are rotated
@@ -84,8 +46,6 @@ class PushOutOfBody:
     firm: float = 0.01  # links rotate little for points that are nearer to their beginning, over the size [m]
     stays: float = 0.02  # weight of a point that is outside, against one that is in the body
     smooth: float = 0.05  # standard deviation of the rotations in time [s]
-    deepest: float = 0.2  # a leg that is farther beyond a point of a skirt does not push it, over the size [m]
-    about: float = 0.06  # a point of a skirt stands for no more than what lies so far about it, over the size [m]
 
     def __call__(self, animation: RigAnimation, dressed: DressedChains) -> RigAnimation:
         """The animation with its links out of the body."""
@@ -98,12 +58,9 @@ class PushOutOfBody:
             return animation
         every, first = animation.transforms(), animation.rotations
         moved = links.points(animation)
-        legs = _LegsBehind(self, clothed, links, bones, every, moved) if len(links.sheet) else None
         near = _Near.of(body, every[:, bones], moved, links.rest, clothed.scale, self.clear)
         for number in range(self.passes):
             push = near.push(moved, links, self.most * clothed.scale)
-            if legs is not None:
-                legs.push(moved, push)
             if not push.any():
                 break
             animation = links.rotated(animation, moved, push)
@@ -115,58 +72,6 @@ class PushOutOfBody:
 
 CHAIN_REPAIRS: tuple[ChainRepair, ...] = (SmoothNeighbours(), PushOutOfBody())
 """What corrects simulated chains, in this order; `MendTears` may follow."""
-
-
-class _LegsBehind:
-    """How far points of skirts have to go outwards for the legs to lie behind them."""
-
-    def __init__(
-        self, how: PushOutOfBody, clothed: ClothedCharacter, links: _Links, bones: np.ndarray, affine: np.ndarray,
-        moved: np.ndarray,
-    ):  # fmt: skip
-        """Of links, by the transforms of all bones (N, B, 3, 4) and where their points are before (N, M, 3)."""
-        self.most, self.sheet, self.out = how.deepest * clothed.scale, links.sheet, links.out
-        self.margin = ASIDE * clothed.scale
-        self.legs, rest, self.radii = how.legs(affine, clothed, bones)
-        points = links.rest[links.sheet].astype(float)
-        # a point stands for the surface about it, and legs pass between points
-        beside = cKDTree(points).query(points, min(3, len(points)))[0]
-        self.about = np.minimum(beside.reshape(len(points), -1)[:, -1], how.about * clothed.scale)
-        self.near = [np.nonzero(np.ones((1, len(points)), bool))] * len(self.radii)
-        self.least = self._beyond(points[None], rest[None], links.rest_out[None])
-        skirt = moved[:, links.sheet]
-        self.near = [
-            self._under(skirt, centre, radius)
-            for centre, radius in zip(np.swapaxes(self.legs, 0, 1), self.radii, strict=True)
-        ]
-
-    def _under(self, skirt: np.ndarray, centre: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
-        """Frames and rows of points (N, S, 3) that a ball with centres (N, 3) may reach beyond: they move outwards."""
-        away = centre[:, None] - skirt
-        ahead = np.einsum("nsa,nsa->ns", away, self.out)
-        beside = np.einsum("nsa,nsa->ns", away, away) - np.square(ahead)
-        near = (beside < np.square(radius + self.about + self.margin)) & (np.abs(ahead) < self.most + radius)
-        frame, point = np.nonzero(near)
-        return frame, point
-
-    def push(self, moved: np.ndarray, push: np.ndarray) -> None:
-        """Add what moves points (N, M, 3) [m] to their push; nothing where legs are behind them."""
-        beyond = np.maximum(self._beyond(moved[:, self.sheet], self.legs, self.out) - self.least, 0)
-        beyond[beyond >= self.most] = 0
-        frame, point = np.nonzero(np.square(beyond) > np.square(push[:, self.sheet]).sum(axis=-1))
-        push[frame, self.sheet[point]] = beyond[frame, point, None] * self.out[frame, point]
-
-    def _beyond(self, points: np.ndarray, balls: np.ndarray, out: np.ndarray) -> np.ndarray:
-        """How far balls (N, P, 3) reach beyond points (N, S, 3) along `out` (N, S, 3), shape (N, S)."""
-        farthest = np.zeros(points.shape[:2])
-        for number, ((frame, point), radius) in enumerate(zip(self.near, self.radii, strict=True)):
-            away = balls[frame, number] - points[frame, point]
-            ahead = np.einsum("pa,pa->p", away, out[frame, point])
-            beside = np.sqrt(np.maximum(np.einsum("pa,pa->p", away, away) - np.square(ahead), 0))
-            left = radius**2 - np.square(np.maximum(beside - self.about[point], 0))
-            reach = np.where(left > 0, ahead + np.sqrt(np.maximum(left, 0)), 0)
-            farthest[frame, point] = np.maximum(farthest[frame, point], reach)
-        return farthest
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,7 +144,7 @@ class _Links:
     Attributes:
         sheet: Points of skirts, shape (S,).
         row_of_sheet: The row in `sheet` of each point, or -1, shape (M,).
-        rest_out, out: Outwards at those points, at rest (S, 3) and in each frame (N, S, 3).
+        out: Outwards at those points in each frame, shape (N, S, 3).
     """
 
     def __init__(self, how: PushOutOfBody, animation: RigAnimation, dressed: DressedChains):
@@ -278,9 +183,9 @@ class _Links:
         self.row_of_sheet[self.sheet] = np.arange(len(self.sheet))
         away = self.rest[self.sheet] - clothed.joints[0]
         away[:, 1] = 0
-        self.rest_out = away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
+        away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-9)
         carriers = animation.transforms()[:, holder[link[self.sheet]], :3, :3]
-        self.out = np.einsum("nmab,mb->nma", carriers, self.rest_out)
+        self.out = np.einsum("nmab,mb->nma", carriers, away)
 
     def points(self, animation: RigAnimation) -> np.ndarray:
         """Where the points are [m], shape (N, M, 3)."""
