@@ -41,6 +41,7 @@ MOTIONS = {
     "a person kicks with the right leg": person(44, feet=kick(44, 12, "right")),
     "a person stands on the left leg": person(44, feet=kick(44, 12, "right")),
     "a person raises the left arm": raising("left"),
+    "a person throws a ball with the left hand": raising("left"),
     "a person sits down": person(80, height=-ramp(80, 10, 40, 0.4)),
     "a person stands up from the chair": person(80, height=ramp(80, 10, 40, 0.4) - 0.4),
 }

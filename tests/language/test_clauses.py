@@ -90,10 +90,14 @@ def test_an_end_without_a_clause_is_left_out():
 def test_clauses_share_the_time_and_short_ones_stay_together():
     assert timed_clauses("walks, then waves", 5.0) == [("walks", 2.5), ("waves", 2.5)]
     assert timed_clauses("walks, then waves", 1.5) == [("walks, then waves", 1.5)]
+    story = timed_clauses("walks, then jumps, then waves, then kicks, then bows", 3.0)
+    assert [text for text, _ in story] == ["walks, then jumps", "waves", "kicks, then bows"]
+    assert [time for _, time in story] == [1.0, 1.0, 1.0]
 
 
 def test_what_is_done_once_gets_its_time_and_what_goes_on_the_rest():
     assert timed_clauses("walks, then jumps", 6.0) == [("walks", 4.0), ("jumps", 2.0)]
+    assert timed_clauses("idles, then kicks, then walks", 6.0) == [("idles", 1.5), ("kicks", 2.0), ("walks", 2.5)]
     assert timed_clauses("walks, then turns left, then waves", 9.0) == [
         ("walks", 3.5),
         ("turns left", 2.0),

@@ -252,8 +252,12 @@ def test_a_way_back_after_a_turn_is_a_way_forward(text: str, action: str) -> Non
     [
         ("Wave_L", "wave", "left arm"), ("StrafeR_Loop", "sidestep", "right go"),
         ("UE4_Jog_Bwd_Left_45", "backward", "left go"), ("CrouchWalkFwd", "crouch walk", "forward"),
+        ("Kick_R", "kick", "right leg"), ("Uppercut_L", "punch", "left arm"),
+        ("knee strike left", "knee lift", "left leg"),
     ],
 )  # fmt: skip
 def test_names_of_clips_say_sides_and_ways_by_letters(name: str, action: str, cue: str) -> None:
-    (clause,) = parse(name).clauses
+    sentence = parse(name)
+    (clause,) = sentence.clauses
     assert clause.actions == (action,) and cue in clause.cues and clause.count is None
+    assert not any("'R'" in note or "'L'" in note for note in sentence.notes)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +13,11 @@ from bunraku.errors import WeightsError
 from bunraku.gestures.catalogue import things_file
 from bunraku.gestures.interactions import read_terrain_gaits
 from bunraku.language.encoders import MiniLMEncoder
+from bunraku.language.interactions import interaction_of
 from bunraku.language.lexicon import lexicon
 from bunraku.language.parse import parse
 from bunraku.language.prompts import plain_words
-from bunraku.language.reader import KIND, Reader, dequantised, load_reader
+from bunraku.language.reader import KIND, Reader, dequantised, frames_of, load_reader
 
 ACTIONS = ("walk", "jump", "wave")
 
@@ -87,3 +89,17 @@ def test_nothing_is_dropped_without_a_word(prompt: str, actions: tuple[str, ...]
     sentence = parse(prompt)
     single = [part for clause in sentence.clauses for part in clause.parts or (clause,)]
     assert tuple(frame.action for clause in single for frame in clause.frames) == actions
+
+
+def test_an_action_that_the_network_never_learned_is_found_by_its_phrases(monkeypatch: pytest.MonkeyPatch) -> None:
+    learned = load_reader()
+    fewer = replace(learned, actions=tuple("handle" if name == "touch" else name for name in learned.actions))
+    monkeypatch.setattr("bunraku.language.reader.load_reader", lambda: fewer)
+    (frame,) = frames_of.__wrapped__("a person taps the temple")
+    assert frame.action == "touch" and interaction_of.__wrapped__("a person taps the temple") is None
+
+
+def test_all_of_a_long_sentence_is_read() -> None:
+    walk = "walks along the road with a heavy bag on the back and a hat on the head"
+    frames = frames_of(f"a person {walk} while {walk}, then sits down on a bench, then waves to a friend")
+    assert [frame.action for frame in frames][-2:] == ["sit", "wave"]

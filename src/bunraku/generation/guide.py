@@ -28,11 +28,11 @@ from bunraku.generation.composition import (
 from bunraku.generation.features import FEATURE_SIZE, FeatureStatistics, encode, feature_weights, mirror
 from bunraku.generation.pack import FPS, ExamplePack
 from bunraku.generation.retrieve import Found, Retrieved, retrieve
-from bunraku.generation.verifier import REST
+from bunraku.generation.verifier import REST, SIDES
 from bunraku.gestures.catalogue import STANDING, at_part
 from bunraku.gestures.interactions import interaction_gesture
 from bunraku.gestures.limb_gesture import in_stance, limb_gesture
-from bunraku.language.lexicon import goes_ahead, is_cyclic, lexicon, stays_down
+from bunraku.language.lexicon import actions_of, goes_ahead, is_cyclic, lexicon, stays_down
 from bunraku.language.phrasing import tells_all, unseen_word
 from bunraku.language.posing import AS_USUAL, Manner, Posing
 from bunraku.language.sentence import Clause
@@ -343,7 +343,6 @@ SHARED = 4
 NEAREST = 3
 ALIKE = 1.0  # further distance of poses from the nearest up to which others may begin, too
 LEFT = 0.35  # share of gestures that are done with the left hand where no side is said; chosen by eye
-SIDES = ("left", "right")
 PACES = {"slow": 0.72, "fast": 1.35}  # tempo of a gesture by its adverb; chosen by eye
 
 
@@ -369,7 +368,9 @@ class GuidanceExamples:
 
     def __init__(self, pack: ExamplePack, clauses: Mapping[str, tuple[Clause, np.ndarray]]):
         self.pack = pack
-        self._retrieved = {text: retrieve(pack, *result) for text, result in clauses.items()}
+        self._retrieved = {
+            text: self._in_order(clause, retrieve(pack, clause, vector)) for text, (clause, vector) in clauses.items()
+        }
 
     def retrieved(self, clause: Clause) -> Retrieved:
         """What fits a clause; nothing where it was not looked up."""
@@ -378,6 +379,15 @@ class GuidanceExamples:
     def shows(self, clause: Clause) -> bool:
         """Whether there is an example for a clause."""
         return bool(self.retrieved(clause).found)
+
+    def _in_order(self, clause: Clause, shown: Retrieved) -> Retrieved:
+        """What fits a clause, without examples whose sentences say its parts in another order."""
+
+        def agrees(one: Found) -> bool:
+            said = map(actions_of, self.pack.examples[one.number].texts)
+            return any(tuple(filter(clause.actions.__contains__, row)) == clause.actions for row in said)
+
+        return shown._replace(found=list(filter(agrees, shown.found))) if clause.parts else shown
 
     def parted(self, clause: Clause) -> tuple[Clause, ...]:
         """A clause in the parts that are done in a row, where no example shows it whole and one shows a part."""

@@ -53,14 +53,9 @@ PARTLY = 0.6
 """Least mean cosine of an example that shows a part of what no example shows whole, or of what is not known by name: of
 48 sentences from outside, the nearest caption would have satisfied a viewer in .46, the network in .17 to .39.
 """
-_PACE = {"slow", "fast"}  # an example must not say these where they were not requested
 _NOTHING = said_by(()).actions
-_TURNS = {"turn", "turn around", "spin", "circle"}
 _LIMBS = frozenset(f"{side} {limb}" for side in ("left", "right") for limb in ("arm", "leg"))
-_SIDED = _LIMBS | {
-    "left turn", "right turn", "left go", "right go", "forward", "backwards", "sideways", "half", "full", "gets up",
-    "lies", "sits", "in place",
-}  # fmt: skip
+_SIDED = frozenset(lexicon().reading["shown"])
 _COUNTS = frozenset(("twice", "thrice", "often"))
 """Captured examples must say these, too; a gesture is done as often as requested."""
 _WAYS = frozenset(("left go", "right go"))
@@ -109,7 +104,9 @@ def retrieve(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> Retrieved
     offered, straight, rows = _offered(pack, clause, vector), not asks_to_turn(clause), lexicon().actions
     nearest = tuple(dict.fromkeys(rows[action].like or action for action in clause.actions))
     if not offered.found and nearest != clause.actions:
-        offered = _offered(pack, replace(clause, actions=nearest), vector)
+        like = replace(clause, actions=nearest)  # which may be done another way: a hit from the left, a stagger
+        offered = _offered(pack, like, vector)
+        offered = offered if offered.found else _offered(pack, replace(like, cues=like.cues - _WAYS), vector)
         plain = [one for one in offered.found if pack.made[one.number]]  # words tell nothing of what is captured here
         offered = offered._replace(found=plain or offered.found, instead=nearest)
     return offered._replace(found=[example._replace(straight=straight) for example in offered.found])
@@ -146,6 +143,8 @@ def _offered(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> Retrieved
         return found
     if let_go & clause.cues:
         found = _retrieved(pack, clause, vector, let_go)
+    if not found.found and _LIMBS & clause.cues:  # whose side the verifier then sees
+        found = _retrieved(pack, clause, vector, let_go | _LIMBS)
     if "sits" in let_go & clause.cues:
         stance = clause.stance or Stance("seat")
         found = found._replace(found=[example._replace(stance=stance) for example in found.found])
@@ -179,7 +178,7 @@ def _retrieved(
     counts = query.cues & _COUNTS - let_go
     times = clause.count or 1 if query.cues & _COUNTS & let_go else 1
     lacking: dict[str, None] = {}
-    sided = any(cue.startswith(("left", "right")) for cue in query.cues)
+    sided, unsided = any(cue.startswith(("left", "right")) for cue in query.cues), query.cues & _LIMBS & let_go
     gait = bool(clause.actions) and query.actions <= {"walk", "run"}
     least = WALKING if gait else least or LEAST
     read = pack.readings is not None and bool(clause.actions) and not gait  # labelled by hand
@@ -191,6 +190,8 @@ def _retrieved(
         for index in np.flatnonzero(pack.made | exact | (score >= least)).tolist():
             made = bool(pack.made[index])
             if made and (not clause.actions or (mirrored and not sided)):  # it takes the hand that most people take
+                continue
+            if made and unsided and mirrored != any(cue.startswith("left") for cue in unsided):  # the right one
                 continue
             action = pack.actions[index]
             if action and query.actions != {action}:  # as `_does` would find by its sentences
@@ -239,7 +240,7 @@ def _agrees(said: Said, mirrored: bool, query: Said, wanted: frozenset[str]) -> 
     for pair in lexicon().contrary:
         if pair & wished and pair & shown and not pair & wished & shown:
             return False
-    return wanted <= cues and cues & _PACE <= query.cues
+    return wanted <= cues and cues & {"slow", "fast"} <= query.cues
 
 
 def mirrored_cues(cues: frozenset[str]) -> frozenset[str]:
@@ -290,7 +291,8 @@ def _lacks(pack: ExamplePack, index: int, mirrored: bool, clause: Clause) -> tup
 def _shown(query: Said) -> frozenset[str]:
     """Cues that an example must say, too: "forward" where a person goes, "around" where a person turns."""
     idle = frozenset[str]() if goes_ahead(query.actions) else {"forward"}
-    return (query.cues & _SIDED) - idle - (frozenset[str]() if query.actions & _TURNS else {"half", "full"})
+    turns = not query.actions.isdisjoint(("turn", "turn around", "spin", "circle"))
+    return (query.cues & _SIDED) - idle - (frozenset[str]() if turns else {"half", "full"})
 
 
 def take_of(name: str) -> str:

@@ -97,7 +97,7 @@ class Track:
 # Chosen by eye with sentences of `bunraku evaluate motion --only viewer` in view, where nothing else is said.
 _LEVEL = 0.15  # m below the shoulder, from where on a hand is up
 _RISES = 0.15  # m; a hand or foot that is so much higher than the other is the one that is meant
-_FAST = 1.0  # m/s
+_MORE, _STILL = 2, 0.1  # the named arm is twice as fast as the other for a full score; m/s, the least that counts
 _STEP = 0.3  # m
 _WALK = 0.6  # m
 _PACE = 0.3  # m/s, slower than any walk: a person who is not half as fast stays
@@ -202,15 +202,17 @@ def _side(clause: Clause, part: str) -> int:
 
 def _arm(clause: Clause, track: Track) -> float | None:
     side = _side(clause, "arm")
-    if not side or "lowers" in clause.traits:
+    there = clause.traits & {"arm up", "arm out"}
+    if not side or "lowers" in clause.traits or (clause.detail is not None and not there):
         return None
-    if "hits" in clause.traits:
-        own, other = (float(np.diff(track.relative(f"{name}_wrist")[:, 2]).max()) * track.fps for name in SIDES[::side])
-        return min((own - other) / _FAST, (own - _FAST) / _FAST)
+    if not there:
+        velocities = [np.diff(track.relative(f"{name}_wrist"), axis=0) * track.fps for name in SIDES[::side]]
+        own, other = (float(np.linalg.norm(velocity, axis=1).max()) for velocity in velocities)
+        return _MORE * (own - other) / max(own, other, _STILL)
     own, other = (np.quantile(_over(track, f"{name}_wrist", f"{name}_shoulder"), 0.9) for name in SIDES[::side])
     if "arm up" in clause.traits:
         return float(min(own + _LEVEL, -_LEVEL - other) / _RISES)  # one hand is up and the other is not
-    return float(own - other) / _RISES if "arm out" in clause.traits else None
+    return float(own - other) / _RISES
 
 
 def _over(track: Track, upper: str, lower: str) -> np.ndarray:
@@ -222,7 +224,8 @@ def _leg(clause: Clause, track: Track) -> float | None:
     if not side:
         return None
     stands = "on a leg" in clause.traits
-    if not stands and "leg up" not in clause.traits:
+    raised = "leg up" in clause.traits or any(lexicon().actions[name].limb == "leg" for name in clause.actions)
+    if not (stands or raised):
         return None
     rises = _over(track, "left_ankle", "right_ankle")
     higher = float(rises.max() + rises.min())
@@ -273,18 +276,17 @@ def _stays(track: Track) -> float:
     return float(min(2 * speed.mean(), 2.5 * np.quantile(speed, _STANDS)) / _PACE - 1)
 
 
-def _still_feet(clause: Clause) -> bool:
-    """Whether a clause speaks of the arms and the head alone."""
+def _still_feet(clause: Clause, turns: bool = False) -> bool:
+    """Whether a clause speaks of the arms and the head alone, or where that is asked for of a turn alone."""
     rows = lexicon().actions
     known = [rows[action] for action in clause.actions if action in rows]
-    return bool(known) and all(row.part in ("arms", "head", "arms and head") for row in known) and not (
-        clause.locomotion or "goes" in clause.traits or clause.moves
-    )  # fmt: skip
+    still = [row.part in ("arms", "head", "arms and head") or (turns and row.alone) for row in known]
+    return bool(known) and all(still) and not (clause.locomotion or "goes" in clause.traits or clause.moves)
 
 
 def _no_travel(clause: Clause, track: Track) -> float | None:
-    """A person who does something in place, or with the arms or the head alone, stays there."""
-    if "in place" not in clause.cues and not _still_feet(clause):
+    """A person who does something in place, turns, or moves the arms or the head alone, stays there."""
+    if "in place" not in clause.cues and (not _still_feet(clause, True) or "winding" in clause.traits):
         return None
     return 1 - max(float(np.linalg.norm(track.position[-1] - track.position[0])) - _STAYS, 0) / _STAYS
 

@@ -277,7 +277,13 @@ def _joined(before: str, text: str) -> str:
 def limbs_described(clause: str) -> Posing | None:
     """What a clause says limbs do, whether its subject is a person or a limb; None where it says nothing of that."""
     subject, predicate = subject_of(clause)
-    return posing_of(clause if subject and names_limb(subject) else predicate)
+    posing = posing_of(clause if subject and names_limb(subject) else predicate)
+    words, spans = words_of(predicate)
+    at = int(words[:1] == ["is"])
+    if posing or len(words) < at + 2 or lexicon().lemmas.get(words[at]) not in ("do", "perform"):
+        return posing
+    posing = posing_of(predicate[spans[at + 1][0] :])  # "is doing left arm circles"
+    return posing if posing and not posing.rest else None
 
 
 def parts_of(clause: str) -> list[str]:
@@ -330,8 +336,13 @@ def _says(piece: str) -> bool:
 def shared(clauses: Sequence[str], seconds: float) -> list[float]:
     """Seconds of each of some clauses in a row: what is done once gets its `Action.seconds`, and what goes on (walking,
     waving) shares the rest evenly. Where there is not enough time, or nothing goes on, all get more or less in
-    proportion.
+    proportion. Standing or crouching before or after something takes `LEAST_GOING`.
     """
+    states = [_is_state(clause) for clause in clauses]
+    rest = seconds - LEAST_GOING * sum(states)
+    if any(states) and rest >= SHORTEST_CLAUSE * states.count(False) > 0:
+        others = iter(shared([clause for clause, state in zip(clauses, states, strict=True) if not state], rest))
+        return [LEAST_GOING if state else next(others) for state in states]
     once = [_time_of(clause) for clause in clauses]
     going = once.count(0.0)
     rest = seconds - sum(once)
@@ -344,20 +355,34 @@ def shared(clauses: Sequence[str], seconds: float) -> list[float]:
 
 
 def timed_clauses(sentence: str, seconds: float) -> list[tuple[str, float]]:
-    """The clauses of a sentence with their shares of its seconds (`shared`); the sentence itself where an even share is
-    under a second.
+    """The clauses of a sentence with their shares of its seconds (`shared`). Where an even share is under a second,
+    neighbours are one clause; the sentence itself where all of them are.
     """
     clauses = split_clauses(sentence)
-    if seconds / len(clauses) < SHORTEST_CLAUSE:
-        return [(sentence, seconds)]
-    return list(zip(clauses, shared(clauses, seconds), strict=True))
+    fitting = max(int(seconds / SHORTEST_CLAUSE), 1)
+    if len(clauses) > fitting:
+        bounds = [round(number * len(clauses) / fitting) for number in range(fitting + 1)]
+        clauses = [", then ".join(clauses[start:stop]) for start, stop in itertools.pairwise(bounds)]
+    return [(sentence, seconds)] if len(clauses) < 2 else list(zip(clauses, shared(clauses, seconds), strict=True))
+
+
+def _done_in(clause: str) -> Sequence[str]:
+    """What is done in a clause, by the lexicon's phrases, or where they find nothing by the network."""
+    from bunraku.language.reader import frames_of  # numpy
+
+    return actions_of(clause) or [frame.action for frame in frames_of(clause)]
 
 
 def _time_of(clause: str) -> float:
     """Time that a clause takes when it is done once [s]; 0 for what goes on."""
-    rows = lexicon().actions
-    times = [rows[action].seconds for action in actions_of(clause)]
+    times = [lexicon().actions[action].seconds for action in _done_in(clause)]
     return max(times) if times and min(times) > 0 else 0.0
+
+
+def _is_state(clause: str) -> bool:
+    """Whether a body does nothing in a clause but stand or crouch: "idle", "crouch idle"."""
+    actions = _done_in(clause)
+    return bool(actions) and all(action.endswith("idle") for action in actions)
 
 
 def _hinged(piece: str) -> list[str]:

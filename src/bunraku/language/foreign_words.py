@@ -10,26 +10,19 @@ import unicodedata
 from collections.abc import Iterator
 from typing import NamedTuple
 
+from bunraku.language.captions import caption_table
 from bunraku.language.prompts import narrow
 from bunraku.language.word_table import Concept, forms
 
 _TOKEN = re.compile(r"[^\W\d_]+['’]|[^\W\d_]+|\d+|[.,;:!?…]")
 _PIECE = re.compile(r"[^\W\d_]+'|[^\W\d_]+~?|\d+")
-_ENDINGS = {
-    "de": "e en n er es em s st t et est te ten tet test end ende enden ender ete eten",
-    "fr": "e ee es ees s t ent er ez ons ant a ait aient ai ais i ie ir it is issent issant ira re ra era ge geant "
-    "eant eons ure x aux",
-    "es": "a as an amos o os e es en emos ar er ir ando iendo yendo ado ada ados ido ida aba aban ia ian io ieron aron "
-    "ara ira era ad ed id s",
-}  # fmt: skip
-_ENDING = {language: frozenset(["", *endings.split()]) for language, endings in _ENDINGS.items()}
-_GERUND = {"de": ("end", "ende"), "fr": ("ant", "eant", "geant", "issant"), "es": ("ando", "iendo", "yendo")}
-_INFINITIVE = {"de": ("en", "n"), "fr": ("er", "ir", "re"), "es": ("ar", "er", "ir")}
-_REFLEXIVE = frozenset(("sich", "mich", "dich", "se", "s'", "me", "m'", "te", "t'", "nous", "nos", "toi", "vous"))
-_CLITICS = ("selo", "sela", "se", "me", "te", "nos", "los", "las", "les", "lo", "la", "le")
-_PREPOSITIONS = frozenset(("auf", "an", "ab", "um", "vor", "zu", "aus", "uber", "ein", "los", "durch"))
-"""German particles that are prepositions elsewhere: they belong to the verb only at the end of a clause."""
-_BOUNDARIES = frozenset({"then", "and", "while", "before", "after", "first", "comma", "stop"})
+
+
+@functools.cache
+def _listed(name: str, language: str = "") -> tuple[str, ...]:
+    """Words or endings of a list of `inflections.json`."""
+    rows = caption_table("inflections.json")[name]
+    return tuple((rows[language] if language else rows).split(" "))
 
 
 def fold(text: str) -> str:
@@ -84,14 +77,14 @@ def _spaced_lexicon(language: str) -> dict[str, list[_Form]]:
 def _readings(token: str, language: str) -> Iterator[tuple[str, str]]:
     """A token as stems and endings; the whole first."""
     yield token, ""
-    endings = _ENDING[language]
+    endings = _listed("endings", language)
     for cut in range(len(token) - 1, 0, -1):
         if token[cut:] in endings:
             yield token[:cut], token[cut:]
 
 
 def _is(token: str, word: str, stem: bool, language: str) -> bool:
-    return token == word or (stem and token.startswith(word) and token[len(word) :] in _ENDING[language])
+    return token == word or (stem and token.startswith(word) and token[len(word) :] in _listed("endings", language))
 
 
 class _Scan:
@@ -111,7 +104,7 @@ class _Scan:
         if self.language == "es":
             variants += [
                 (token[: -len(tail)], tail in ("se", "me", "te", "nos", "selo", "sela"))
-                for tail in _CLITICS
+                for tail in _listed("clitics")
                 if token.endswith(tail) and len(token) > len(tail) + 3
             ]
         if self.language == "de" and re.search("[aou]e", token):
@@ -135,7 +128,7 @@ class _Scan:
         free = [index for index in range(*clause) if index not in span and not self.taken[index]]
         if form.reflexive and not pronoun:
             near = free if self.language == "de" else [index for index in free if index in (at - 1, at + 1)]
-            if not any(self.tokens[index] in _REFLEXIVE for index in near):
+            if not any(self.tokens[index] in _listed("reflexive") for index in near):
                 return None
         used = []
         for word, stem in form.others:
@@ -146,7 +139,7 @@ class _Scan:
         if form.particle:
             last = clause[1] - 1
             after = [index for index in free if index >= span.stop and self.tokens[index] == form.particle]
-            if form.particle in _PREPOSITIONS:
+            if form.particle in _listed("prepositions"):
                 after = [index for index in after if index == last]
             if not after:
                 return None
@@ -165,7 +158,9 @@ class _Scan:
             best = max(clauses, key=_weight, default=None)
             inside = self.language == "de" and index and self.tokens[index - 1][0].isalnum() and index - 1 not in edges
             then = best is not None and best.kind == "then" and len(best.words) == 1
-            if not self.tokens[index][0].isalnum() or (best and best.kind in _BOUNDARIES and not (then and inside)):
+            if not self.tokens[index][0].isalnum() or (
+                best and best.kind in _listed("boundaries") and not (then and inside)
+            ):
                 edges.append(index)
             index += len(best.words) if best else 1
         edges.append(len(self.tokens))
@@ -214,8 +209,8 @@ def scan_spaced(text: str, language: str) -> list[Concept]:
             form = best[at]
             mark = "plural" if form.plural else ""
             if form.kind == "verb" and len(form.words) == 1:
-                mark = "infinitive" if token.endswith(_INFINITIVE[language]) else ""
-                mark = "gerund" if token.endswith(_GERUND[language]) else mark
+                mark = "infinitive" if token.endswith(_listed("infinitive", language)) else ""
+                mark = "gerund" if token.endswith(_listed("gerund", language)) else mark
             elif form.kind == "verb" and not any(form.stem) and not form.others:
                 mark = "adverb"  # "de puntillas", "à quatre pattes"
             elif form.kind == "then" and clauses[at][0] < at < clauses[at][1]:
@@ -226,25 +221,12 @@ def scan_spaced(text: str, language: str) -> list[Concept]:
             continue
         if not scan.taken[at]:
             sign = "comma" if token in ",;:" else "stop" if not token[0].isalnum() else ""
-            kind = "number" if token.isdigit() else sign or ("ignored" if token in _REFLEXIVE else "unknown")
+            kind = "number" if token.isdigit() else sign or ("ignored" if token in _listed("reflexive") else "unknown")
             concepts.append(Concept(kind, scan.raw[at] if kind == "unknown" else token, start, stop))
         at += 1
     return concepts
 
 
-_GODAN = {
-    "く": ("き", "いて", "いた", "か", "け", "こう"), "ぐ": ("ぎ", "いで", "いだ", "が", "げ", "ごう"),
-    "す": ("し", "して", "した", "さ", "せ", "そう"), "つ": ("ち", "って", "った", "た", "て", "とう"),
-    "ぬ": ("に", "んで", "んだ", "な", "ね", "のう"), "ぶ": ("び", "んで", "んだ", "ば", "べ", "ぼう"),
-    "む": ("み", "んで", "んだ", "ま", "め", "もう"), "る": ("り", "って", "った", "ら", "れ", "ろう"),
-    "う": ("い", "って", "った", "わ", "え", "おう"),
-}  # fmt: skip
-"""Ends of a verb with a changing last sound: before ます, with て and た, before ない, as an order, and as "let us"."""
-_SURU = (
-    ("する", "plain"), ("し", "stem"), ("して", "te"), ("した", "plain"), ("しろ", "plain"), ("しよう", "plain"),
-    ("やる", "plain"), ("やり", "stem"), ("やって", "te"), ("やった", "plain"),
-)  # fmt: skip
-"""する, and やる for games and music."""
 _AFTER_TE = re.compile(
     r"(?:い(?:ます|ました|る|た|て)|る(?=$|[、。\s])|ください|下さい|おり|いき(?:ます)?|いく|きます|くる|みる|みます)"
 )
@@ -279,7 +261,14 @@ def _conjugated(form: str) -> list[tuple[str, str]]:
     """A Japanese verb in the forms that sentences have, each "plain", "te" or "stem"."""
     if form.endswith("+"):
         noun = form[:-1].removesuffix("を")
-        return [(noun, "plain"), *((noun + gap + end, mark) for gap in ("", "を") for end, mark in _SURU)]
+        return [
+            (noun, "plain"),
+            *(
+                (noun + gap + end, mark)
+                for gap in ("", "を")
+                for end, mark in caption_table("inflections.json")["する"].items()
+            ),
+        ]
     if "・" in form:
         stem = form.replace("・る", "")
         ends = (("る", "plain"), ("", "stem"), ("て", "te"), ("た", "plain"), ("ろ", "plain"), ("よう", "plain"))
@@ -288,9 +277,10 @@ def _conjugated(form: str) -> list[tuple[str, str]]:
         ends = (("き", "stem"), ("って", "te"), ("った", "plain"), ("け", "plain"), ("こう", "plain"), ("く", "plain"))
         return [(form[:-1] + end, mark) for end, mark in ends]
     stem, last = form[:-1], form[-1]
-    if last not in _GODAN:
+    changing = caption_table("inflections.json")["changing"]
+    if last not in changing:
         return [(form, "plain")]
-    before, te, past, negative, order, let = _GODAN[last]
+    before, te, past, negative, order, let = changing[last].split()
     return [
         (form, "plain"), (stem + before, "stem"), (stem + te, "te"), (stem + past, "plain"),
         (stem + order, "plain"), (stem + let, "plain"), (stem + negative + "ない", "plain"),

@@ -80,13 +80,6 @@ class Gaze(NamedTuple):
 Interaction = Handling | Contact | Terrain | Gaze
 _Kind = TypeVar("_Kind", Handling, Contact, Terrain, Gaze)
 
-_GAZES = {
-    "level": Gaze(2, 4), "up": Gaze(-40), "far": Gaze(-2, 24), "deep": Gaze(30, 0, 24), "down": Gaze(30, 0, 6),
-    "under": Gaze(8, 0, 60),
-}  # fmt: skip
-"""Gazes by the name of what is seen: a picture, the sky, the sea, a well, an ant, what is under a bed; chosen by eye on
-sheets of the sentences of benchmarks/things.txt.
-"""
 _EYES, _AWAY = 1.7, 1.6
 """Height of the eyes of a body of 1.84 m, and how far away a person stands from a thing that hands meet, chosen by eye
 [m].
@@ -95,13 +88,6 @@ _NEAR = 1.6
 """Tokens between what is done with a thing and an action of the same verb at the most; chosen on the sentences of
 tests/language/test_interactions.py.
 """
-_PART = {
-    "ground": frozenset(("walk", "climb", "balance", "idle", "push", "pull", "jump over")),
-    "sight": frozenset(("look far", "idle")),
-    "deed": frozenset(("idle",)),
-    "": frozenset(("idle", "handle", "pick up", "put down", "carry", "reach")),
-}
-"""Actions that are no more than walking or looking there, or handling a thing."""
 
 
 def read_as(kind: type[_Kind], text: str) -> _Kind | None:
@@ -123,16 +109,18 @@ def interaction_of(text: str) -> Interaction | None:
     Args:
         text: In English.
     """
-    from bunraku.language.reader import frames_of, load_reader  # numpy
+    from bunraku.language.reader import frames_of, load_reader, unlearned_in  # numpy
 
     reader = load_reader()
     dealt = reader.dealt(text)
-    if not dealt:
+    if not dealt or unlearned_in(text):
         return None
     surest, rows = max(dealt, key=lambda frame: frame.probability), lexicon().actions
     kind, _, name = surest.action.partition(" ")
     steps = [frame for frame in dealt if " " not in frame.action] if not name else [surest]
-    same = _PART[kind if name else ""].union(*(reader.together[frame.action] for frame in steps))
+    same = set(lexicon().reading["beside things"][kind if name else ""]).union(
+        *(reader.together[frame.action] for frame in steps)
+    )
     for frame in frames_of(text):
         beside = min(abs(frame.at - other.at) for other in steps) > _NEAR
         if beside and frame.action not in same and not rows[frame.action].vague:
@@ -148,7 +136,8 @@ def interaction_of(text: str) -> Interaction | None:
     if kind == "ground":
         return Terrain(name, height)
     if kind == "sight":
-        return _GAZES.get(name) or Gaze(math.degrees(math.atan2(_EYES - height, _AWAY)))
+        seen = lexicon().reading["gazes"].get(name) or (math.degrees(math.atan2(_EYES - height, _AWAY)),)
+        return Gaze(*seen)
     places = [HandlingStep(frame.action, _place(frame.fields)) for frame in steps]
     chest = HandlingStep("hold", Place("chest"))
     before, after = [chest] * (places[0].does == "put"), [chest] * (places[-1].does == "take")

@@ -21,6 +21,7 @@ class Action:
     said: tuple[str, ...]  # phrases that say it
     locomotion: str = ""  # the locomotion of its verbs: "fly", "swim", "slither", "crawl", "walk", "run"; "" for none
     part: str = ""  # what its verbs move: "legs", "arms", "head", "arms and head"; "" for neither or all
+    limb: str = ""  # "arm" or "leg", where all of the body moves and one of them does it: a kick, a throw
     cyclic: bool = False  # it is still the same when it is done again
     # how long captured people take for it when it is done once, a median, rounded up [s]; 0 for what goes on
     seconds: float = 0.0
@@ -182,6 +183,11 @@ class Lexicon:
     numbers: dict[str, int]  # what words count
     holding: frozenset[str]  # verbs that say where a part of the body is, in all their forms
     levels: dict[str, float]  # heights of things in metres, for a body of 1.84 m
+    # `fields`, the cues for what the reader says of an action, by "field value"; `choices`, cues of one kind; `beside
+    # things`, actions that are no more than walking or looking there, or handling a thing; `gazes`, by what is seen the
+    # pitch, sweep and lean of `Gaze`, chosen by eye on sheets of the sentences of benchmarks/things.txt; `shown`, cues
+    # that an example must say too
+    reading: dict[str, Any]
     contrary: tuple[frozenset[str], ...]  # cues and traits of which an example does not say another than is said
     grammar: dict[str, frozenset[str]]  # sets of words, by what they are
     irregular: dict[str, str]  # the plain form of inflected words that no rule of `vocabulary.stem` has
@@ -244,7 +250,7 @@ def lexicon() -> Lexicon:
         locomotion=_by_form(moving, verbs), cues=tuple(data["cues"]), places=places,
         synonyms=dict(data["synonyms"]), ground=data["ground"], otherwise=tuple(otherwise),
         numbers=data["numbers"], holding=signs["<holding>"], levels=data["levels"],
-        contrary=tuple(map(frozenset, data["contrary"])),
+        contrary=tuple(map(frozenset, data["contrary"])), reading=data["reading"],
         grammar={name: frozenset(listed.split()) for name, listed in data["grammar"].items()}, limbs=data["limbs"],
         irregular=irregular,
         words=frozenset(phrases.words | posing.words).union(" ".join(actions).replace("-", " ").split()),

@@ -17,19 +17,9 @@ OTHER = {"left": "right", "right": "left"}
 _ENDS = {"ahead": "back", "back": "ahead", **OTHER}
 """The other end of what swings."""
 _PAIRED = frozenset(("arm", "elbow", "leg", "knee", "heel"))
-_WAYS = frozenset((
-    "up", "down", "ahead", "back", "side", "left", "right", "apart", "together", "crossed", "bent", "tiptoe",
-    "straight",
-))  # fmt: skip
-_OF_TRUNK = frozenset(("lean", "bend", "bow", "twist"))
-"""Verbs that move the trunk where no limb is named."""
+_WAYS, _OF_TRUNK = lexicon().grammar["ways"], lexicon().grammar["of the trunk"]
 _AMOUNTS = {"small": 0.5, "half": 0.6, "large": 1.45}
 """How far, of what is usual; chosen by eye."""
-_JOINS = frozenset(("and", "but", "then", "while", "with", ","))
-"""Words before which a comparison ends: "spread like wings"."""
-_BEFORE_NOUNS = frozenset(
-    ("a", "an", "the", "two", "three", "four", "five", "several", "some", "deep", "low", "into", "from")
-)
 
 
 class Target(NamedTuple):
@@ -68,13 +58,13 @@ class Phrase(NamedTuple):
 def phrases_of(words: Sequence[str]) -> list[Phrase]:
     """The phrases of some words; those that say nothing are left out, and those that are not known are "other"."""
     found: list[Phrase] = []
-    at, table = 0, lexicon().posing
+    at, table, ends = 0, lexicon().posing, lexicon().grammar["after comparisons"]
     while at < len(words):
         best = table.longest(words, at)
         stop = at + 1 if best is None else best[1]
         kind = value = ""
         if words[at] == "like":
-            stop = next((number for number in range(at + 1, len(words)) if words[number] in _JOINS), len(words))
+            stop = next((number for number in range(at + 1, len(words)) if words[number] in ends), len(words))
             kind = "like"
         elif best is not None:
             kind, _, value = best[0].name.partition(" ")
@@ -92,7 +82,7 @@ def _is_noun(words: Sequence[str], at: int, before: Sequence[Phrase]) -> bool:
     """Whether what looks like a verb is a noun: "two squats", "knee lifts". "The raised arm" is none."""
     table = lexicon()
     verb = words[at] in table.verbs or words[at] in table.third
-    if at and words[at - 1] in _BEFORE_NOUNS and (words[at - 1] == "from" or verb):
+    if at and words[at - 1] in lexicon().grammar["before nouns"] and (words[at - 1] == "from" or verb):
         return True
     part = before[-1] if before and before[-1].stop == at and before[-1].kind == "part" else None
     if part is None or words[at] not in table.third or words[at - 1].endswith("s"):

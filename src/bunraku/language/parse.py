@@ -190,15 +190,13 @@ def _clause(text: str, seconds: float, voices: tuple[Clause, ...] = (), parts: t
     )  # fmt: skip
 
 
-_CHOICES = tuple(
-    frozenset(cues.split(", "))
-    for cues in ("forward, backwards, left go, right go", "left turn, right turn", "quarter, half, full", "slow, fast")
-)
+_CHOICES = tuple(map(frozenset, lexicon().reading["choices"]))
 """Cues of one kind: what the network reads counts, and where it reads none, the words."""
 
 
 def _with_fields(cues: frozenset[str], frames: Sequence[Frame]) -> frozenset[str]:
-    ways = _CHOICES[0]  # where arms point is not where the body goes
+    ways = _CHOICES[0]  # where arms point is not where the body goes, nor is the side of a kick
+    cues -= frozenset(f"{frame.fields['side']} go" for frame in frames if _limb(frame))
     read = frozenset[str]().union(*(frame.cues - ways if _stays(frame) else frame.cues for frame in frames))
     taken = [read & choice or cues & choice for choice in _CHOICES]
     limbs = cues & _LIMBS or frozenset(filter(None, map(_limb, frames)))
@@ -211,17 +209,16 @@ _LIMBS = frozenset(("left arm", "right arm", "left leg", "right leg"))
 
 def _limb(frame: Frame) -> str:
     """The limb that does it, where a side is said: "left arm"; "" for none or both."""
-    part, side = lexicon().actions[frame.action].part, frame.fields.get("side", "both")
-    limb = "arm" if part.startswith("arms") else "leg" if part == "legs" else ""
+    row, side = lexicon().actions[frame.action], frame.fields.get("side", "both")
+    limb = row.limb or ("arm" if row.part.startswith("arms") else "leg" if row.part == "legs" else "")
     return f"{side} {limb}" if limb and side != "both" else ""
 
 
 def _meanwhile(frame: Frame) -> str:
     """The stance in which something is done that is not the posture itself; "" where nothing is said of it."""
     posture = frame.fields.get("posture", "") or lexicon().actions[frame.action].posture
-    return {"sitting": "seat", "kneeling": "kneel", "lying": "back", "crouching": "squat"}.get(posture, "") * _stays(
-        frame
-    )
+    stances = {"sitting": "seat", "kneeling": "kneel", "lying": "back", "crouching": "squat"}
+    return stances.get(posture, "") * _stays(frame)
 
 
 def _stays(frame: Frame) -> bool:

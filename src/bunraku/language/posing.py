@@ -17,8 +17,6 @@ from bunraku.language.limb_phrases import LIMBS, OTHER, Phrase, Target, particip
 _LEGS = frozenset(("leg", "knee", "heel"))
 _LOW = frozenset(("knee", "leg", "heel", "floor", "buttocks"))
 """Places that hands reach with the help of the whole body."""
-_POSTURES = frozenset(("lean", "bend", "tilt", "stretch", "spread", "cross", "clasp", "hang"))
-"""Verbs of which "-ing" beside something else says a posture."""
 _PARTS = {"head": "head", "trunk": "upper body", "shoulders": "arms"}
 
 
@@ -260,7 +258,7 @@ def _acts(join: str, phrases: Sequence[Phrase], verbs: Sequence[Phrase]) -> bool
     if pointing or any(one.value == "hold" for one in verbs):
         return False
     if word in table.gerund:
-        return join in ("", "and", "then") or verbs[0].value not in _POSTURES
+        return join in ("", "and", "then") or verbs[0].value not in table.grammar["held postures"]
     return word in table.third or (word in table.verbs and join != "with" and phrases[0] is verbs[0])
 
 

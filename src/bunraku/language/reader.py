@@ -18,8 +18,8 @@ import numpy as np
 from bunraku.core.nn.checkpoints import dated_checkpoint, fitting_config, load_checkpoint
 from bunraku.core.nn.layers import PostNorm, one_thread, sigmoid, softmax
 from bunraku.errors import WeightsError
-from bunraku.language.encoders import MiniLMEncoder, text_encoder
-from bunraku.language.lexicon import actions_of, lexicon, uncovered, words_of
+from bunraku.language.encoders import TEXT_LENGTH, MiniLMEncoder, text_encoder
+from bunraku.language.lexicon import actions_of, lexicon, said_phrases, uncovered, words_of
 from bunraku.language.prompts import plain_words
 
 KIND = "reader"
@@ -51,14 +51,6 @@ none is read, 263 are then shown as something, 91 of them as what they name; of 
 """
 DEALT = 0.5
 """Probability from which something is done with a thing: likelier than not; measured with no other value."""
-_CUES = {
-    "direction forward": "forward", "direction backward": "backwards", "direction left": "left go",
-    "direction right": "right go", "direction forward-left": "forward, left go",
-    "direction forward-right": "forward, right go", "direction backward-left": "backwards, left go",
-    "direction backward-right": "backwards, right go", "turn side left": "left turn", "turn side right": "right turn",
-    "degrees 90": "quarter", "degrees 180": "half", "degrees 360": "full", "speed slow": "slow", "speed fast": "fast",
-}  # fmt: skip
-"""Cues of the lexicon by fields and their values."""
 
 
 class Frame(NamedTuple):
@@ -79,7 +71,7 @@ class Frame(NamedTuple):
     @property
     def cues(self) -> frozenset[str]:
         """The lexicon's cues for what is said of it; sides of limbs are none."""
-        said = [_CUES.get(f"{name} {value}", "") for name, value in self.fields.items()]
+        said = [lexicon().reading["fields"].get(f"{name} {value}", "") for name, value in self.fields.items()]
         return frozenset(cue for cues in said for cue in cues.split(", ") if cue)
 
 
@@ -220,9 +212,18 @@ def frames_of(text: str) -> tuple[Frame, ...]:
         text: In English.
     """
     reader, phrased = load_reader(), actions_of(text)
+    pieces = _pieces(text)
+    if len(pieces) > 1 and len(reader.encoder.numbers(plain_words(text))) == TEXT_LENGTH:  # no more would be read
+        before = pieces[len(pieces) // 2][0]
+        at = words_of(text)[1][before][0]
+        later = [frame._replace(at=frame.at + before) for frame in frames_of(text[at:])]
+        return tuple({frame.action: frame for frame in (*frames_of(text[:at]), *later)}.values())
     frames = reader.read(text, phrased)
+    if unlearned := unlearned_in(text):  # the network says of their words what it knows
+        kept = [frame for frame in frames if frame.action in phrased]
+        frames = kept + [Frame(action, 1.0, said_phrases(text)["actions"][action] + 1, {}) for action in unlearned]
     missing = set(phrased) - {frame.action for frame in frames}
-    for before, piece in _pieces(text) if missing else ():  # beside others, each is less sure
+    for before, piece in pieces if missing else ():  # beside others, each is less sure
         alone = [action for action in actions_of(piece) if action in missing]
         more = [frame for frame in reader.read(piece, alone) if frame.action in alone and frame.probability >= SURE]
         frames += [frame._replace(at=frame.at + before) for frame in more]
@@ -230,6 +231,11 @@ def frames_of(text: str) -> tuple[Frame, ...]:
     if {frame.action for frame in frames}.issubset(phrased):
         frames.sort(key=lambda frame: phrased.index(frame.action))
     return tuple({frame.action: frame for frame in frames}.values())
+
+
+def unlearned_in(text: str) -> list[str]:
+    """The actions that phrases of the lexicon find in a text, and that the network never learned."""
+    return [action for action in actions_of(text) if action not in load_reader().actions]
 
 
 def _pieces(text: str) -> list[tuple[int, str]]:

@@ -14,7 +14,6 @@ from bunraku.language.lexicon import actions_of, goes_ahead, lexicon
 from bunraku.language.vocabulary import words_of
 from bunraku.language.word_table import Concept, table
 
-_ADJECTIVES_ONLY = frozenset({"old", "young", "big", "small"})
 _NAMES = ("", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
 
 
@@ -216,7 +215,7 @@ def _adjectives(clauses: list[VerbPhrase]) -> list[VerbPhrase]:
         kept = []
         for item in clause.items:
             adverb = item.value.split("/")[0]
-            if item.kind == "manner" and adverb in _ADJECTIVES_ONLY:
+            if item.kind == "manner" and adverb in lexicon().grammar["of people alone"]:
                 if clause.subject and not clause.subject.startswith(("a ", "an ")):
                     clause.subject = f"{rows[adverb]} {clause.subject}"
             elif item.kind == "manner":
@@ -263,12 +262,6 @@ def _ordered(clauses: list[VerbPhrase], asian: bool) -> list[VerbPhrase]:
     return order
 
 
-_ON = frozenset({"stand", "hop", "balance", "jump", "kneel", "lie", "crawl", "sit", "land", "leap", "spin", "turn"})
-"""Verbs that are done on a part; others with it."""
-_PLACES = frozenset({"chair", "bench", "table", "window", "wall", "tree", "car", "stairs", "door"})
-_CLIMBED = frozenset({"stairs", "ladder", "tree", "wall"})
-_TOUCHED = frozenset({"stretch", "touch", "rub", "grab", "hold", "wipe", "wash"})
-_BARE = frozenset({"something", "water", "music"})
 _SLOT = re.compile(r"<([^>]*)>")
 _SIDEWAYS = ("to the left", "to the right")
 
@@ -330,7 +323,7 @@ def _phrase(clause: VerbPhrase) -> str:
 def _object(items: Sequence[Concept], default: str, head: str) -> Concept | None:
     """What a verb is done to: a part of the body where that is usual, or else a thing or a being."""
     bodily = default.removeprefix("the ") in _body()
-    if bodily or head in _TOUCHED:
+    if bodily or head in lexicon().grammar["touched"]:
         part = next((item for item in items if item.kind == "part"), None)
         if part:
             return part
@@ -344,7 +337,7 @@ def _named(item: Concept, default: str) -> str:
         unsaid = word.removeprefix("the ") == default.removeprefix("the ").rstrip("s") and not item.mark
         return default if unsaid and not _sided(item) else word
     name = item.value.partition("/")[0]
-    return name if name in _BARE else with_article(name)
+    return name if name in lexicon().grammar["no article"] else with_article(name)
 
 
 def _said(item: Concept, verb: str, head: str, slot: bool) -> tuple[float, str]:
@@ -355,14 +348,15 @@ def _said(item: Concept, verb: str, head: str, slot: bool) -> tuple[float, str]:
             return 0, _part(item)
         if not _sided(item) and item.value.split("/")[0] in _own_parts(head):
             return 1, ""
-        return 1, f"{'on' if head in _ON and not slot else 'with'} {_part(item)}"
+        return 1, f"{'on' if head in lexicon().grammar['on a part'] and not slot else 'with'} {_part(item)}"
     if item.kind in ("noun", "being"):
         name, _, position = item.value.partition("/")
         if name in words or (name == "water" and slot):
             return 2, ""
-        if head == "climb" and name in _CLIMBED:
+        if head == "climb" and name in lexicon().grammar["climbed"]:
             return 1, "the stairs" if name == "stairs" else with_article(name)
-        if item.kind == "noun" and name in _PLACES and goes_ahead(actions_of(conjugate(f"{{{head}}} to", "third"))):
+        goal = item.kind == "noun" and name in lexicon().grammar["goals"]
+        if goal and goes_ahead(actions_of(conjugate(f"{{{head}}} to", "third"))):
             return 2, f"to the {name}"
         if "} up" in verb and head in ("stand", "get"):
             return 2, position.replace("on ", "from ")
