@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import trimesh
 
-from bunraku.apparel.chains.body_collisions import PushOutOfBody
+from bunraku.apparel.chains.body_collisions import BindToSkin, PushOutOfBody
 from bunraku.apparel.chains.chain import Chain, LaidShape, parameters_of_laid
 from bunraku.apparel.chains.chain_rig import Chained, with_chains
 from bunraku.apparel.chains.cloth_repairs import DressedChains, MendTears, SmoothNeighbours, on_skin
@@ -71,6 +71,19 @@ def test_a_strip_leaves_the_ball():
     np.testing.assert_array_equal(after.rotations[:, body_bones], before.rotations[:, body_bones])
     turns = after.rotations.astype(float)
     np.testing.assert_allclose(turns @ np.swapaxes(turns, -1, -2), np.broadcast_to(np.eye(3), turns.shape), atol=1e-5)
+
+
+def test_cloth_that_stays_in_the_body_goes_with_the_skin():
+    clothed, made, body = worn()
+    before = swung(made, body, 1.2)
+    still = RigAnimation(
+        body, np.tile(np.eye(3), (OUTSIDE_FRAMES, JOINT_COUNT, 1, 1)), np.zeros((OUTSIDE_FRAMES, JOINT_COUNT, 3)), 30.0
+    )
+    for kind, deepest in (("skirt", 0.01), ("hair", 0.02)):  # hair stays alive
+        cloth = replace(clothed, kinds=(kind,))
+        after = BindToSkin()(before, still, DressedChains(made, cloth, JOINTS, body.rig))
+        deep = (RADIUS - np.linalg.norm(after.vertices()[:, clothed.apparel], axis=-1)).max()
+        assert deep < deepest if kind == "skirt" else deep > deepest
 
 
 def test_a_strip_on_a_ball_that_tips_over_lies_on_it():

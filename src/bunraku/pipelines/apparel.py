@@ -15,7 +15,7 @@ import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.apparel.body import UnifiedBody
-from bunraku.apparel.chains.body_collisions import CHAIN_REPAIRS
+from bunraku.apparel.chains.body_collisions import CHAIN_REPAIRS, BindToSkin
 from bunraku.apparel.chains.chain import parameters_beside
 from bunraku.apparel.chains.chain_rig import on_handle_rig
 from bunraku.apparel.chains.cloth_repairs import DressedChains, MendTears
@@ -160,7 +160,7 @@ def _untorn(
             if attempt:
                 break
             raise
-        mended, torn = MendTears()(mended, plain, dressed)
+        mended, torn = MendTears()(BindToSkin()(mended, plain, dressed), plain, dressed)
         if not torn:
             return mended
         if drawn:
