@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from bunraku.anatomy.anatomy import reference_anatomy
-from bunraku.core.body.layout import HANDLE_COUNT
+from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES, HANDLE_PARENTS
 from bunraku.core.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
-from bunraku.core.motion import HandleMotion
+from bunraku.core.motion import HandleMotion, line_up
 from bunraku.errors import WeightsError
 from bunraku.files.samples import sample_character
 from bunraku.language.parse import parse
@@ -81,3 +81,39 @@ def test_a_dog_eats_on_its_feet_and_lies_down_to_die(dog):
     assert np.ptp(meal[..., 1].max(axis=1)) < 0.4 * height
     assert death[-1][:, 1].max() < 0.75 * height < meal[:, :, 1].max(axis=1).min()
     assert abs(death[-1][:, 1].min() - dog.character.vertices[:, 1].min()) < 0.03 * height
+
+
+def stepping(frames=21):
+    """One round of steps on the spot, which swings fore and hind legs of a body in turn."""
+    turns = np.zeros((frames, HANDLE_COUNT, 3))
+    phase = np.linspace(0, 2 * np.pi, frames)
+    for name, below, ahead in (("hip", "knee", 0.0), ("shoulder", "elbow", np.pi)):
+        for side, later in (("left", 0.0), ("right", np.pi)):
+            at = phase + ahead + later
+            turns[:, limb_below(f"{side}_{name}"), 0] += 0.35 * np.sin(at)[:, None]
+            turns[:, limb_below(f"{side}_{below}"), 0] += 0.8 * np.maximum(-np.cos(at), 0)[:, None]  # lifted ahead
+    still = np.tile(np.eye(3), (frames, 1, 1))
+    rotations, translations = reference_anatomy().attached(matrix_from_axis_angle(turns))
+    return HandleMotion(translations, rotations, np.zeros((frames, 3)), still)
+
+
+def limb_below(name):
+    """The handle of a limb's first part and those of all parts below it."""
+    first = HANDLE_NAMES.index(name)
+    return [handle for handle in range(HANDLE_COUNT) if first in line_up(handle, HANDLE_PARENTS)]
+
+
+def test_steps_on_the_spot_get_a_body_ahead_by_what_its_feet_go_back(monkeypatch, dog):
+    clip = CreatureClip("wolf", "walk", "four legs", (0.0, 0.0), 21, packed_clip(stepping(), np.zeros(21)))
+    monkeypatch.setattr(creature_clips, "shipped_clips", lambda: (clip,))
+    request = Request(parse("a dog walks forward", 4.0))
+    moved = next(Animator.shipped().each(dog, [request])).vertices()
+    ahead = (moved[-1] - moved[0])[:, 2].mean()
+    assert ahead > 0.5 * dog.character.height
+    low = moved[:, :, 1].min(axis=1, keepdims=True) + 0.02 * dog.character.height
+    both = (moved[:-1, :, 1] < low[:-1]) & (moved[1:, :, 1] < low[1:])
+    slides = [np.linalg.norm(np.diff(moved[[n, n + 1]][:, on][..., [0, 2]], axis=0), axis=-1).min()
+              for n, on in enumerate(both) if on.any()]  # fmt: skip
+    assert np.median(slides) < 0.01 * dog.character.height
+    turned = adapt_sentence(parse("a dog walks in a circle"), dog.anatomy.plan)
+    assert creature_motion(turned, dog.anatomy, seed=0) is None

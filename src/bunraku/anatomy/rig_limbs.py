@@ -33,7 +33,8 @@ _TRUNK = [HANDLE_NAMES.index(name) for name in ("spine1", "spine2", "spine3")]
 _FRONT = [_NECK, _HEAD, HANDLE_NAMES.index("head_top"), HANDLE_NAMES.index("face")]
 _COLLARS = [HANDLE_NAMES.index("left_collar"), HANDLE_NAMES.index("right_collar")]
 # Of two pairs of legs; chosen by eye on the 68 animals of 0 A.D.
-ONE_SIDE = 0.9  # share of its skin that a limb has on its side
+ONE_SIDE = 0.75  # share of its skin that a limb has on its side; halfway from a trunk to a leg
+ASIDE = 0.3  # how far a leg is from the middle at the least, and a tail at the most, over the farthest leg
 NEAR_GROUND = 0.15  # how far over the floor a leg ends at the most, over the height
 ALIKE_PAIR = 0.3  # how far apart along the body the legs of a pair are, over the distance of the pairs
 ANCHOR = 0.1  # a bone that begins in the middle and holds less of the skin of its leg is part of the trunk
@@ -117,6 +118,8 @@ def four_legs_of_rig(character: Character, known: np.ndarray) -> np.ndarray | No
     tree = _SkinTree(character, rig)
     floor = float(character.vertices[character.surface, 1].min())
     limbs = [limb for limb in tree.limbs() if tree.low[limb].min() < floor + NEAR_GROUND * character.height]
+    wide = ASIDE * max((abs(float(tree.middle(limb)[0])) for limb in limbs), default=0.0)
+    limbs = [limb for limb in limbs if abs(tree.middle(limb)[0]) > wide]
     pairs = [sorted((limb for limb in limbs if side * tree.middle(limb)[0] > 0), key=lambda limb: tree.middle(limb)[2])
              for side in (1, -1)]  # fmt: skip
     if [len(side) for side in pairs] != [2, 2] or min(len(limb) for limb in limbs) < 2:
@@ -125,7 +128,7 @@ def four_legs_of_rig(character: Character, known: np.ndarray) -> np.ndarray | No
     away = middles[:, 1].mean(axis=0) - middles[:, 0].mean(axis=0)
     if away[2] < abs(away[1]) or np.abs(middles[0, :, 2] - middles[1, :, 2]).max() > ALIKE_PAIR * away[2]:
         return None
-    out = tree.trunk(known, pairs, middles[:, :, 2].mean(axis=0))
+    out = tree.trunk(known, pairs, middles[:, :, 2].mean(axis=0), wide)
     if 0 not in out or _HEAD not in out:
         return None
     for side, (hind, front) in enumerate(pairs):
@@ -138,26 +141,37 @@ class _SkinTree:
     """The bones of a rig with the skin that they hold."""
 
     def __init__(self, character: Character, rig: Rig):
-        seen, heights = character.surface, character.vertices[:, 1]
-        dense = rig.dense_weights() * character.areas[:, None]
         self.parents, self.at, self.order = rig.parents, rig.positions.astype(float), bone_order(rig.parents)
-        main = dense.argmax(axis=1)
-        self.low = np.full(len(self.parents), np.inf)  # the lowest skin of each bone [m]
-        np.minimum.at(self.low, main[seen], heights[seen])
-        self.own = dense.sum(axis=0)  # skin of each bone
-        self.moments = dense.T @ character.vertices
-        sides = np.stack([dense[side * character.vertices[:, 0] > 0].sum(axis=0) for side in (1, -1)])
-        self.below = [[bone] for bone in range(len(self.parents))]  # each bone and all below it
+        count, across = len(self.parents), character.vertices[:, 0]
+        held = rig.weights * character.areas[:, None]
+
+        def of_bones(shares: np.ndarray) -> np.ndarray:
+            return np.bincount(rig.indices.ravel(), (held * shares[:, None]).ravel(), minlength=count)
+
+        main = np.take_along_axis(rig.indices, rig.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
+        self.low = np.full(count, np.inf)  # the lowest skin of each bone [m]
+        np.minimum.at(self.low, main[character.surface], character.vertices[character.surface, 1])
+        self.own = of_bones(np.ones(len(across)))  # skin of each bone
+        self.moments = np.stack([of_bones(axis) for axis in character.vertices.T], axis=1)
+        sides = np.stack([of_bones(side * across > 0) for side in (1, -1)])
+        self.children: list[list[int]] = [[] for _ in range(count)]
         for bone in reversed(self.order):
             if self.parents[bone] >= 0:
-                self.below[self.parents[bone]] += self.below[bone]
+                self.children[self.parents[bone]].append(bone)
                 sides[:, self.parents[bone]] += sides[:, bone]
         self.skin = sides.sum(axis=0)  # of each bone and all below it
         self.sided = (self.skin > 0) & (sides.max(axis=0) > ONE_SIDE * self.skin)
 
+    def below(self, bone: int) -> list[int]:
+        """A bone and all below it, from the body outwards."""
+        out = [bone]
+        for above in out:
+            out += self.children[above]
+        return out
+
     def limbs(self) -> list[list[int]]:
         """The branches whose skin is on one side, each with its first bone at the beginning."""
-        return [self.below[bone] for bone in self.order
+        return [self.below(bone) for bone in self.order
                 if self.sided[bone] and (self.parents[bone] < 0 or not self.sided[self.parents[bone]])]  # fmt: skip
 
     def middle(self, bones: list[int]) -> np.ndarray:
@@ -168,7 +182,7 @@ class _SkinTree:
         """Give the bones of a leg its parts, from the body outwards, in place: three segments and a foot. What comes
         before them is its `collar`.
         """
-        tips = [bone for bone in limb if self.own[bone] > 0 and not any(self.own[b] for b in self.below[bone][1:])]
+        tips = [bone for bone in limb if self.own[bone] > 0 and not self.skin[self.children[bone]].any()]
         lines = [[bone for bone in line_up(tip, self.parents)[::-1] if bone in limb] for tip in tips]
         line = max(lines, key=lambda line: float(np.linalg.norm(np.diff(self.at[line], axis=0), axis=1).sum()))
         end = np.array([self.at[line[-1]][0], floor, self.at[line[-1]][2]])
@@ -186,7 +200,7 @@ class _SkinTree:
                 break
         out[line] = [parts[min(rank, len(parts) - 1)] for rank in range(len(line))]
 
-    def trunk(self, known: np.ndarray, pairs: list[list[list[int]]], along: np.ndarray) -> np.ndarray:
+    def trunk(self, known: np.ndarray, pairs: list[list[list[int]]], along: np.ndarray, wide: float) -> np.ndarray:
         """Handles of what is no leg, shape (J,): the bone that bears the hind legs is the pelvis, what bears the front
         ones the spine; of the branches that bear none, the one ahead is neck and head, and the one behind the tail.
         """
@@ -210,30 +224,30 @@ class _SkinTree:
                 out[bone] = _TRUNK[int(np.clip(3 * share, 0, 2))] if bone not in above else 0 if part == 0 else -1
                 out[bone] = part if part in (*_TRUNK, _NECK) else out[bone]
             elif parent < 0 or bears[parent]:
-                below = self.below[bone]
+                below = self.below(bone)
                 out[below] = np.where(np.isin(known[below], _LEGS_AND_ARMS), -1, known[below])
-                if self.skin[bone] and not self.sided[bone]:
-                    ahead = self.middle(below)[2]
+                aside, _, ahead = self.middle(below)
+                if self.skin[bone] and abs(aside) < wide:
                     (heads if ahead > along[1] else tails if ahead < along[0] else []).append(bone)
         if pelvis >= 0:
             out[pelvis] = 0
         self._headed(heads, known, out)
         if tails:
             first = max(tails, key=lambda bone: self.skin[bone])
-            depth = np.array([len(line_up(bone, self.parents)) for bone in self.below[first]])
-            out[self.below[first]] = np.where(2 * depth < depth.min() + depth.max() + 1, *_TAIL)
+            depth = np.array([len(line_up(bone, self.parents)) for bone in self.below(first)])
+            out[self.below(first)] = np.where(2 * depth < depth.min() + depth.max() + 1, *_TAIL)
         return out
 
     def _headed(self, branches: list[int], known: np.ndarray, out: np.ndarray) -> None:
         """Neck and head on the branch ahead that holds the most, in place."""
         if not branches:
             return
-        bones = self.below[max(branches, key=lambda bone: self.skin[bone])]
+        bones = self.below(max(branches, key=lambda bone: self.skin[bone]))
         named = _HEAD in known[bones]
         out[bones] = np.where(np.isin(known[bones], _FRONT), known[bones], -1)
         if named:
             return
         head = bones[0]
-        while len(more := [b for b in self.below[head][1:] if self.parents[b] == head and self.skin[b] > 0]) == 1:
+        while len(more := [bone for bone in self.children[head] if self.skin[bone] > 0]) == 1:
             out[head], head = _NECK, more[0]
         out[head] = _HEAD

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from bunraku.files.clips import (
-        bones_of, clips_rise, load_animation, load_clip, load_clip_animation, merge,
+        bones_of, clips_rise, load_animation, load_clip, load_clip_animation, merge, own_animation,
     )  # fmt: skip
     from bunraku.files.fbx.clips import load_fbx_motion
     from bunraku.files.fbx.read import fbx_facts
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from bunraku.files.samples import sample_bytes, sample_character, sample_file, sample_files, sample_names
 
 _NAMES = {
-    "clips": "bones_of clips_rise load_animation load_clip load_clip_animation merge",
+    "clips": "bones_of clips_rise load_animation load_clip load_clip_animation merge own_animation",
     "fbx.clips": "load_fbx_motion",
     "fbx.read": "fbx_facts",
     "gltf.carry": "clip_names free_name",

@@ -95,8 +95,14 @@ def load_animation(path: str | Path, clip: int | str = 0, fps: float = 30.0) -> 
     path = Path(path)
     if not 1 <= fps <= 240:
         raise OptionError(f"frames a second must be from 1 to 240, not {fps:g}")
-    character = load_with_clips(path, fps)
-    source = character.source
+    return own_animation(load_with_clips(path, fps), clip, fps)
+
+
+def own_animation(character: Character, clip: int | str, fps: float) -> Animation:
+    """A clip of the file of a character, as it stands here, as `load_animation` plays it; errors are the same."""
+    source, path = character.source, Path(character.name)
+    if isinstance(source, Source):
+        path = source.document.path
     if not isinstance(source, Source) or not source.document.items("animations"):
         raise FormatError(path, "it holds no animation; make one with `bunraku animate`")
     if character.rig is None:

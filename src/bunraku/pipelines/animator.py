@@ -191,7 +191,7 @@ class Animator:
             numbers = range(start, min(start + AT_ONCE, len(requests)))
             if any(number in numbers for number in wanted):
                 seeds = {number: requests[number].sampling.seed for number in numbers}
-                creatures = {} if as_people or request.constraints else _after_animals(sentences, seeds, body.anatomy)
+                creatures = {} if as_people or request.constraints else _after_animals(sentences, seeds, body)
                 left = [number for number in numbers if number not in creatures]
                 motions: dict[int, HandleMotion] = {}
                 if any(number in left for number in wanted):
@@ -407,13 +407,13 @@ class Animator:
         return apply_rigged(motion, body.parts, constraints, stages, self.progress)
 
 
-def _after_animals(
-    sentences: Sequence[Sentence], seeds: Mapping[int, int], anatomy: Anatomy
-) -> dict[int, CreatureMotion]:
+def _after_animals(sentences: Sequence[Sentence], seeds: Mapping[int, int], body: Body) -> dict[int, CreatureMotion]:
     """What sentences ask for, by number, where clips of animals show all of it (`retarget.creature_clips`)."""
     from bunraku.retarget.creature_clips import creature_motion
 
-    taken = {number: creature_motion(sentences[number], anatomy, seed) for number, seed in seeds.items()}
+    taken = {
+        number: creature_motion(sentences[number], body.anatomy, seed, body.parts) for number, seed in seeds.items()
+    }
     return {number: motion for number, motion in taken.items() if motion is not None}
 
 

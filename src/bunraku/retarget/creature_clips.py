@@ -1,4 +1,4 @@
-"""How keyframed animals attack, eat and die: creatures with such legs do it after them.
+"""How keyframed animals walk, run, attack, eat and die: creatures with such legs do it after them.
 
 A clip is kept as the motion of the 30 handles of a body in its own stance (`retarget.creatures`), packed as the
 examples of people are.
@@ -8,22 +8,30 @@ from __future__ import annotations
 
 import functools
 import re
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy, reference_anatomy
+from bunraku.anatomy.legs import BodyPlan
 from bunraku.core.arrays import lzma_filters, pack_steps, unpack_steps
 from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES
-from bunraku.core.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle, nearest_rotation
+from bunraku.core.geometry.rotations import Resampling, axis_angle_from_matrix, matrix_from_axis_angle, nearest_rotation
 from bunraku.core.motion import HandleMotion, resample
-from bunraku.core.travel import placed_at
-from bunraku.errors import WeightsError
+from bunraku.core.travel import placed_at, repeated
+from bunraku.errors import BunrakuError, WeightsError
+from bunraku.files import Source, bones_of, clip_names, own_animation
 from bunraku.language.captions import caption_table, conjugate
 from bunraku.language.sentence import Sentence
-from bunraku.retarget.creatures import CreatureMotion
+from bunraku.retarget.creatures import CreatureMotion, motion_of_handles
+from bunraku.retarget.fit import posed
+from bunraku.retarget.rig_parts import RigParts
+from bunraku.retarget.stages.feet import foot_motion
+from bunraku.retarget.stages.stage import sole_points
+from bunraku.retarget.to_reference import bones_to_handles
 
 KIND = "creatures"
 FPS = 20.0
@@ -31,21 +39,41 @@ _METRES, _RADIANS, _ORDER = 1e-3, 2e-3, 2  # steps of a packed clip; chosen by e
 _FILTERS = lzma_filters(9, 1 << 16)
 _NUMBERS = 4 + 3 * HANDLE_COUNT
 MOST_FRAMES = 400  # of one clip; more in a file is damage
+GAITS = ("walk", "run", "trot", "gallop")
+"""Actions whose clips are one round of steps on the spot."""
+STANDS = 0.25  # a foot stands while it is lower than this share of how far it is lifted; chosen by eye on horses
+ROLL = 0.012  # points of a sole so much higher than its lowest, over the leg's length, count half (as in `feet`)
+HURRY = {"slow": 0.75, "fast": 1.25}  # how much faster than their clip steps are by what is said; chosen by eye
+LIFTED = 0.05  # a walk always has a foot on the ground; dogs of 0 A.D. leap in theirs [m of the reference body]
+LEAST = 0.35
+"""A clip in which the head turns by less shows nothing [rad]; chosen by eye, those of 20° stood still."""
+EACH = 2  # clips of a file that are read of one action
+OWN = "own"  # stands for the animal of a clip of the character's own file
+FINE = 60.0  # rate at which clips of files are read [1/s]
+FEWEST, MOST = 6, 130  # frames of such a clip; longer ones wait before they begin
+CLOSES, SWING = 0.35, 0.1
+"""How far a part may be from where it began at the end of a round of steps, and through how much each thigh swings at
+the least [rad]; chosen by eye."""
 FADE = 6  # frames in which what follows begins as what was before ended; chosen by eye
 NAMED, ALIKE = 2.0, 1.0
 """What it counts that a clip is of the animal that is named, or of one like it, against a body e times as long for its
 height; chosen by eye on sheets."""
 FAR = 0.7  # an animal whose shape is farther from a body shows nothing to it; chosen by eye on a crocodile (0.86)
 LESS = 0.3  # what each place counts by which an action stands behind the one that is asked for; chosen by eye
+_MOVES = (("stay", "lie", ""), ("step", "run"))  # how a body moves for which clips are looked up; steps last
+TRIED = 8  # of the clips that suit a body the most, for how low its head comes in them
+MOUTH = 3.0  # what it counts against a meal that the head stays over the ground, over the height; chosen by eye
+UPWARDS = 0.85  # height of the back over the root from which on a body lies on its belly, as a cosine; chosen by eye
 SPREAD = 0.2  # scale of the Gumbel numbers that make seeds differ; chosen by eye
 PACES = 0.85, 1.15  # how fast a clip is done, for seeds that take the same one to differ; chosen by eye on a dragon
 _PELVIS, _HEAD = HANDLE_NAMES.index("pelvis"), HANDLE_NAMES.index("head")
+_THIGHS = [HANDLE_NAMES.index(f"{side}_hip") for side in ("left", "right")]
 
 
 @dataclass(frozen=True)
 class CreatureClip:
     """One clip of an animal: what it does by the table of creatures' captions, the kind of its body
-    (`anatomy.legs.BodyPlan.kind`), its `body_shape`, and the packed motion.
+    (`_kind`), its `body_shape`, and the packed motion.
     """
 
     animal: str
@@ -159,39 +187,142 @@ def shown_by() -> dict[str, list[str]]:
 
 def _likeness(clip: CreatureClip, words: set[str]) -> float:
     """How near the animal of a clip is to those that some words name."""
-    if clip.animal in words:
-        return NAMED
+    if clip.animal in words or clip.animal == OWN:
+        return NAMED * (1 + (clip.animal == OWN))
     kinds = caption_table("creature_captions.json")["kinds"]
     return ALIKE * any(clip.animal in kind["species"] and words & {*kind["species"]} for kind in kinds)
 
 
-def creature_motion(sentence: Sentence, anatomy: Anatomy, seed: int) -> CreatureMotion | None:
-    """What a sentence, as the body does it, asks of a creature, after clips of animals with a body like its own, which
-    the seed draws; None where they do not show all of it.
+def file_clips(
+    parts: RigParts, animal: str, wanted: Callable[[str], bool]
+) -> Iterator[tuple[CreatureClip, CreatureMotion]]:
+    """The clips of a character's file that show an action which is wanted, by their names, and that its rig is known to
+    make: no person's, no flight of what has legs, and of steps only whole rounds of four legs at the most.
     """
-    name = {*re.findall(r"[a-z]+", Path(anatomy.character.name).stem.lower())}
+    character, source = parts.character, parts.character.source
+    if not isinstance(source, Source):
+        return
+    shown = {action for actions in shown_by().values() for action in actions}
+    for number, label in enumerate(clip_names(source.document)):
+        action = creature_action(re.sub(r"[_\d]+", " ", label.split("|")[-1]))
+        if action not in shown or not wanted(action) or (action in GAITS and parts.anatomy.has_extra_legs):
+            continue
+        try:
+            fine = own_animation(character, number, FINE)
+        except BunrakuError:  # which is said where the clip itself is asked for
+            continue
+        seconds = (len(fine.motion) - 1) / FINE
+        frames = round(seconds * FPS)
+        if not FEWEST <= frames < MOST:
+            continue
+        creature = motion_of_handles(bones_to_handles(parts, *bones_of(fine), FINE), parts.anatomy)
+        if creature is None or (creature.flies and parts.anatomy.plan.legs):
+            continue
+        creature = creature.at(frames / seconds)  # as many whole frames as there is time, so that rounds close
+        motion, heights = creature.motion, creature.heights
+        if action in GAITS:
+            if not _is_round(motion) or (action == "walk" and np.ptp(heights) > LIFTED):
+                continue
+            path = motion.root_translation.astype(np.float64)
+            way = np.linspace(0, 1, len(path))[:, None] * (path[-1] - path[0]) + path[0] * [1, 0, 1]
+            motion, heights = replace(motion, root_translation=path - way), heights - heights.min()
+        elif _head_moves(motion):
+            heights = np.maximum(heights - heights[0], 0)  # they begin standing, and sink nowhere
+        else:
+            continue
+        shape, body = body_shape(parts.anatomy), _kind(parts.anatomy.plan)
+        yield CreatureClip(animal, action, body, shape, len(motion), packed_clip(motion, heights)), creature
+
+
+def _head_moves(motion: HandleMotion) -> bool:
+    head = motion.root_rotation.astype(float) @ motion.rotations[:, _HEAD].astype(float)
+    return bool(np.linalg.norm(axis_angle_from_matrix(head[0].T @ head), axis=-1).max() > LEAST)
+
+
+def _is_round(motion: HandleMotion) -> bool:
+    """Whether steps end as they begin, look ahead, and swing both thighs."""
+    turns = motion.rotations.astype(float)
+    away = np.linalg.norm(axis_angle_from_matrix(np.swapaxes(turns[0], -1, -2) @ turns[-1]), axis=-1)
+    swings = [np.ptp(axis_angle_from_matrix(turns[:, thigh])[:, 0]) for thigh in _THIGHS]
+    return bool(away.max() < CLOSES and min(swings) > SWING and motion.root_rotation[:, 2, 2].min() > 0)
+
+
+@functools.lru_cache(maxsize=8)
+def own_clips(parts: RigParts, wanted: tuple[str, ...]) -> tuple[CreatureClip, ...]:
+    """The clips of a character's own file that show some actions (`file_clips`), the first few of each."""
+    counts: Counter[str] = Counter(dict.fromkeys(wanted, EACH))
+    clips = []
+    for clip, _ in file_clips(parts, OWN, lambda action: counts[action] > 0):
+        counts[clip.action] -= 1
+        clips.append(clip)
+    return tuple(clips)
+
+
+def creature_motion(
+    sentence: Sentence, anatomy: Anatomy, seed: int, own: RigParts | None = None
+) -> CreatureMotion | None:
+    """What a sentence, as the body does it, asks of a creature, after clips of its file, where its `own` bones move it,
+    or of animals with a body like its own, which the seed draws; None where they do not show all of it.
+    """
+    words = {*re.findall(r"[a-z]+", f"{Path(anatomy.character.name).stem} {sentence.english}".lower())}
     random = np.random.default_rng(seed % 2**63)
     taken: tuple[HandleMotion, np.ndarray] | None = None
     for clause in sentence.clauses:
-        wanted = shown_by().get(creature_action(clause.text), []) if clause.moves == "stay" else []
-        words = name | {*re.findall(r"[a-z]+", clause.text.lower())}
-        shape = body_shape(anatomy) if wanted else (0.0, 0.0)
-        offered = [
-            (
-                _likeness(clip, words) - LESS * wanted.index(clip.action) - far + SPREAD * random.gumbel(),
-                clip,
-            )
-            for clip in shipped_clips()
-            if clip.action in wanted and clip.body == anatomy.plan.kind
-            and (far := float(np.hypot(*np.subtract(clip.shape, shape)))) < FAR
-            and not (clip.action == "death" and anatomy.plan.wings)  # it would lie on a wing that is spread
-        ]  # fmt: skip
-        if not offered:
+        action = creature_action(clause.text)
+        if clause.moves not in _MOVES[action in GAITS] or clause.turn is not None or clause.cues - {"forward", *HURRY}:
             return None
-        clip = max(offered, key=lambda pair: pair[0])[1]
-        part = _lasting(clip, max(round(clause.seconds * FPS), 1), random)
+        clip = _chosen(shown_by().get(action, []), anatomy, words, random, own)
+        clip = clip or _chosen(shown_by().get(f"{action}, else", []), anatomy, words, random, own)
+        if clip is None:
+            return None
+        frames = max(round(clause.seconds * FPS), 1)
+        if clip.action in GAITS:
+            hurry = [factor for cue, factor in HURRY.items() if cue in clause.cues]
+            part = _stepping(clip, frames, random.uniform(*PACES) * float(np.prod(hurry)), random, anatomy)
+        else:
+            part = _lasting(clip, frames, random)
         taken = part if taken is None else _followed(*taken, *part)
     return None if taken is None else CreatureMotion(taken[0], anatomy.plan, taken[1])
+
+
+def _chosen(
+    wanted: list[str], anatomy: Anatomy, words: set[str], random: np.random.Generator, own: RigParts | None
+) -> CreatureClip | None:
+    """The clip of one of some actions, the best first, that suits a body the most; None where none does."""
+    shape, kind, offered = body_shape(anatomy), _kind(anatomy.plan), []
+    for clip in (*shipped_clips(), *(own_clips(own, tuple(wanted)) if own and wanted else ())):
+        far = float(np.hypot(*np.subtract(clip.shape, shape)))
+        if clip.action in wanted and clip.body == kind and far < FAR and not _lies_on_wings(clip, anatomy):
+            score = _likeness(clip, words) - LESS * wanted.index(clip.action) - far + SPREAD * random.gumbel()
+            offered.append((score, clip))
+    offered = sorted(offered, key=lambda pair: -pair[0])[:TRIED]
+    if wanted == ["eat"]:
+        offered = [(score - MOUTH * _mouth(clip, anatomy), clip) for score, clip in offered]
+    return max(offered, key=lambda pair: pair[0])[1] if offered else None
+
+
+def _kind(plan: BodyPlan) -> str:
+    """The kind of a body whose clips are alike; those without legs by how they move."""
+    if plan.legs:
+        return plan.kind
+    return "snake" if plan.slithers else "fish" if plan.swims else "wings" if plan.wings else plan.kind
+
+
+def _lies_on_wings(clip: CreatureClip, anatomy: Anatomy) -> bool:
+    """Whether a death of a body without wings ends on its side, where one with wings would lie on one of them."""
+    if clip.action != "death" or not anatomy.plan.wings or clip.animal == OWN:
+        return False
+    return bool(clip.unpacked[0].root_rotation[-1, 1, 1] < UPWARDS)
+
+
+def _mouth(clip: CreatureClip, anatomy: Anatomy) -> float:
+    """How high over the ground the lowest point of a body's head stays in a clip, over its height."""
+    body = anatomy.unturned
+    if not len(body.front):
+        return 0.0
+    motion = posed(clip.unpacked[0].take(slice(None, None, 4)), body)
+    lowest = body.reach_of(body.front).lowest(motion.transforms(body.handles.positions)).min()
+    return max(float(lowest) - body.floor, 0.0) / body.character.height
 
 
 def _lasting(clip: CreatureClip, frames: int, random: np.random.Generator) -> tuple[HandleMotion, np.ndarray]:
@@ -211,6 +342,40 @@ def _lasting(clip: CreatureClip, frames: int, random: np.random.Generator) -> tu
     while len(whole[0]) < frames:
         whole = _followed(*whole, *once())
     return whole[0].take(slice(frames)), whole[1][:frames]
+
+
+def _stepping(
+    clip: CreatureClip, frames: int, pace: float, random: np.random.Generator, anatomy: Anatomy
+) -> tuple[HandleMotion, np.ndarray]:
+    """A clip of steps on the spot for so many frames, round after round from anywhere in it, `pace` times as fast,
+    which gets a body ahead by as much as its standing feet go back.
+    """
+    motion, heights = clip.unpacked
+    last = len(motion) - 1
+    start = int(random.integers(last))
+    more = start + int(frames * pace) + 2
+    whole = replace(resample(repeated(motion, 0, more).take(slice(start, None)), FPS / pace), fps=FPS)
+    high = Resampling.of(more + last + 1 - start, FPS, FPS / pace).linear(
+        np.resize(heights[:-1], more + last + 1)[start:]
+    )
+    return _travelled(whole.take(slice(frames)), anatomy), high[:frames]
+
+
+def _travelled(motion: HandleMotion, anatomy: Anatomy) -> HandleMotion:
+    """The steps of a body on the spot as those with which it gets ahead, at one speed: the middle one of the feet that
+    stand, as they go back on this body.
+    """
+    body = anatomy.unturned
+    world = posed(motion, body).transforms(body.handles.positions)
+    speeds = []
+    for leg in body.legs:
+        step, height = foot_motion(sole_points(leg, body, world), body.floor, ROLL * leg.length)
+        stands = height < height.min() + STANDS * np.ptp(height)
+        speeds.append(-step[stands, 1])
+    ahead = float(np.median(np.concatenate(speeds))) / body.scale if speeds else 0.0
+    path = motion.root_translation.astype(np.float64)
+    path[:, 2] += max(ahead, 0.0) * np.arange(len(motion))
+    return replace(motion, root_translation=path)
 
 
 def _followed(

@@ -346,7 +346,8 @@ def fit_body(
             return fit_rig(source, body, stages)
         return Animation(body.character, body.handles, fit_motion(source, body, stages), source)
     check_plans(source.plan, anatomy.plan, anatomy.character.name, source.flies)
-    stages = replace(stages, rest_pose=False, hands=False)  # which compare with a person
+    # which compare with a person, or make steps of a network even
+    stages = replace(stages, rest_pose=False, hands=False, swings=False)
     # what flies, swims or slides keeps the height of its path
     heights = source.heights if source.plan.legs and not source.flies else None
     if isinstance(body, RigParts):

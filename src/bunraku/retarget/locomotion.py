@@ -66,6 +66,7 @@ SPEED = {"swim": 0.5, "slither": 0.3, "step": 0.3, "run": 0.6}
 """Lengths of the body, along its longest axis, in a second; without legs it glides where others step or run."""
 LASTS = 1.0
 """What changes more slowly than this is how a body is held in the water, and no swing [s]. Chosen by eye."""
+ROLLS = np.radians(12)  # how far a body that swims tilts at the most; chosen by eye on a tuna
 STAYS = 0.25  # a motion that gets ahead by less than this share of that is given the speed
 AIR = {"stay": 0.75, "run": 0.2, "step": 0.15, "lie": 0.05, "slither": 0.05}
 """How long before and after a frame the ground is touched at the latest [s]; a step always has a foot on it."""
@@ -232,12 +233,14 @@ def _lifting_axis(anatomy: Anatomy, wing: int) -> np.ndarray:
 
 def _levelled(motion: HandleMotion, share: np.ndarray) -> HandleMotion:
     """The motion of a body that is level in the water, as it rests, where a swimming person lies on the front: what
-    lasts of the tilt of the root and of the bend of the trunk and head is taken off.
+    lasts of the tilt of the root and of the bend of the trunk and head is taken off, and what is beyond `ROLLS`.
     """
 
     def without(turn: np.ndarray) -> np.ndarray:
         part = share.reshape(-1, *[1] * (turn.ndim - 1))
-        return np.asarray(turn - part * gaussian(turn, LASTS * motion.fps))
+        turn = turn - part * gaussian(turn, LASTS * motion.fps)
+        least = np.minimum(1, ROLLS / np.maximum(np.linalg.norm(turn, axis=-1, keepdims=True), 1e-9))
+        return np.asarray(turn * (1 + (least - 1) * part))
 
     return _bent(motion, [*_TRUNK, *_HEAD], without)
 

@@ -1,4 +1,6 @@
-"""The clips of animals after which creatures attack, eat and die (`bunraku.retarget.creature_clips`), in one file."""
+"""The clips of animals after which creatures walk, attack, eat and die (`bunraku.retarget.creature_clips`), in one
+file.
+"""
 
 from __future__ import annotations
 
@@ -11,34 +13,22 @@ from pathlib import Path
 
 import numpy as np
 
-from bunraku.core.animation import Animation
-from bunraku.core.body.layout import HANDLE_NAMES
-from bunraku.core.geometry.rotations import axis_angle_from_matrix
+from bunraku.anatomy.handles.orientation import upright
 from bunraku.errors import BunrakuError
-from bunraku.files import bones_of, clip_names, load_animation, load_character
-from bunraku.pipelines.to_reference import facing
-from bunraku.retarget.creature_clips import (
-    FPS,
-    CreatureClip,
-    body_shape,
-    creature_action,
-    packed_clip,
-    shown_by,
-    write_clips,
-)  # fmt: skip
-from bunraku.retarget.creatures import CreatureMotion, motion_of_handles
-from bunraku.retarget.rig_parts import RigParts
-from bunraku.retarget.to_reference import bones_to_handles
+from bunraku.files import load_character
+from bunraku.language.parse import parse
+from bunraku.pipelines.animator import Animator
+from bunraku.pipelines.requests import Request
+from bunraku.retarget.creature_clips import GAITS, CreatureClip, file_clips, write_clips
+from bunraku.retarget.creatures import CreatureMotion
 
-FEWEST, MOST = 6, 130  # frames of a clip; longer ones wait before they begin
 LEAP = 1.0  # a clip whose body is higher over the ground leaps away, as a frog that dies [m of the reference body]
-LEAST = 0.35
-"""A clip in which the head turns by less shows nothing [rad]; chosen by eye, those of 20° stood still."""
+SHARED = 4  # clips of all fish, and of what flies without legs, that do the same
+SUDDEN = 15  # a death that takes fewer frames is only a fall; chosen by eye on a deer
 AHEAD = 0.3
 """How far ahead a body must look in every frame, as a cosine; chosen by eye: two strike with their tails."""
 REARED = 0.42
 """Sine of the slope from which on a body on four legs rears; chosen by eye: dinosaurs made a crocodile leap."""
-_HEAD = HANDLE_NAMES.index("head")
 
 
 def pack_creatures(
@@ -66,11 +56,13 @@ def pack_creatures(
         animal = re.split(r"[_\d]", path.stem.lower())[0]
 
         def wanted(action: str, of: str = animal) -> bool:
-            return counts[of, action] < each
+            return counts[of, action] < (1 if action in GAITS else each)
 
         try:
             for clip in _clips(path, animal, category, wanted):
-                if clip.data not in seen:
+                legless = clip.body.startswith(("fish", "wings"))  # forty fish share their clips
+                counts[clip.body, clip.action] += 1
+                if clip.data not in seen and not (legless and counts[clip.body, clip.action] > SHARED):
                     counts[animal, clip.action] += 1
                     seen.add(clip.data)
                     licences[licence] += 1
@@ -94,40 +86,22 @@ def _rows(folder: Path) -> Iterator[tuple[Path, str, str, str]]:
 
 def _clips(path: Path, animal: str, category: str, wanted: Callable[[str], bool]) -> Iterator[CreatureClip]:
     """The clips of a file whose actions are wanted and that move a body that is no person and was read rightly."""
-    labels = clip_names(load_character(path).source.document)
-    shown = {action for actions in shown_by().values() for action in actions}
-    rig = None
-    for label in labels:
-        action = creature_action(re.sub(r"[_\d]+", " ", label.split("|")[-1]))
-        if action not in shown or not wanted(action):
-            continue
-        animation = load_animation(path, label, FPS)
-        assert isinstance(animation, Animation)
-        if not FEWEST <= len(animation.motion) <= MOST:
-            continue
-        character, rotations, positions = facing(animation.character, *bones_of(animation))
-        rig = rig or RigParts.of(character)
-        creature = motion_of_handles(bones_to_handles(rig, rotations, positions, FPS), rig.anatomy)
-        if creature is None:
-            return
-        misread = category == "quadruped" and creature.plan.front != 2
-        if creature.plan.legs and not creature.flies and not misread and _shows(creature, action == "death"):
-            heights = np.maximum(creature.heights - creature.heights[0], 0)  # they begin standing, and sink nowhere
-            data = packed_clip(creature.motion, heights)
-            yield CreatureClip(animal, action, creature.plan.kind, body_shape(rig.anatomy), len(creature.motion), data)
+    parts = Animator.shipped().body(upright(load_character(path)), Request(parse("it waits", 1.0))).parts
+    if parts is None or (category == "quadruped" and parts.anatomy.plan.front != 2):
+        return
+    for clip, motion in file_clips(parts, animal, wanted):
+        if clip.action in GAITS or _shows(motion, clip.action == "death"):
+            yield clip
 
 
 def _shows(creature: CreatureMotion, dies: bool) -> bool:
-    """Whether the head of a body is seen to move, and the body neither turns its back nor leaps away, nor rears where
-    it dies on four legs.
-    """
-    motion = creature.motion
-    root = motion.root_rotation.astype(float)
-    if dies and creature.plan.front and root[:, 1, 2].max() > REARED:
+    """Whether a body neither turns its back nor leaps away, nor dies at once, nor rears where it dies on four legs."""
+    root = creature.motion.root_rotation.astype(float)
+    reared = bool(creature.plan.front) and root[:, 1, 2].max() > REARED
+    if dies and (reared or len(root) < SUDDEN):
         return False
-    head = root @ motion.rotations[:, _HEAD].astype(float)
-    turned = np.linalg.norm(axis_angle_from_matrix(head[0].T @ head), axis=-1)
-    return bool(turned.max() > LEAST and root[:, 2, 2].min() > AHEAD and np.ptp(creature.heights) < LEAP)
+    leaps = bool(creature.plan.legs) and np.ptp(creature.heights) > LEAP
+    return bool(root[:, 2, 2].min() > AHEAD and not leaps)
 
 
 def main() -> None:
