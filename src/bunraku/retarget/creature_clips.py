@@ -29,7 +29,7 @@ from bunraku.language.sentence import Sentence
 from bunraku.retarget.creatures import CreatureMotion, motion_of_handles
 from bunraku.retarget.fit import posed
 from bunraku.retarget.rig_parts import RigParts
-from bunraku.retarget.stages.feet import foot_motion
+from bunraku.retarget.stages.feet import Feet, foot_motion
 from bunraku.retarget.stages.stage import sole_points
 from bunraku.retarget.to_reference import bones_to_handles
 
@@ -42,9 +42,8 @@ MOST_FRAMES = 400  # of one clip; more in a file is damage
 GAITS = ("walk", "run", "trot", "gallop")
 """Actions whose clips are one round of steps on the spot."""
 STANDS = 0.25  # a foot stands while it is lower than this share of how far it is lifted; chosen by eye on horses
-ROLL = 0.012  # points of a sole so much higher than its lowest, over the leg's length, count half (as in `feet`)
 HURRY = {"slow": 0.75, "fast": 1.25}  # how much faster than their clip steps are by what is said; chosen by eye
-LIFTED = 0.05  # a walk always has a foot on the ground; dogs of 0 A.D. leap in theirs [m of the reference body]
+LIFTED = 0.05  # a walk keeps a foot on the ground [m of the reference body]; chosen by eye on dogs that leap in theirs
 LEAST = 0.35
 """A clip in which the head turns by less shows nothing [rad]; chosen by eye, those of 20° stood still."""
 EACH = 2  # clips of a file that are read of one action
@@ -369,7 +368,7 @@ def _travelled(motion: HandleMotion, anatomy: Anatomy) -> HandleMotion:
     world = posed(motion, body).transforms(body.handles.positions)
     speeds = []
     for leg in body.legs:
-        step, height = foot_motion(sole_points(leg, body, world), body.floor, ROLL * leg.length)
+        step, height = foot_motion(sole_points(leg, body, world), body.floor, Feet.roll * leg.length)
         stands = height < height.min() + STANDS * np.ptp(height)
         speeds.append(-step[stands, 1])
     ahead = float(np.median(np.concatenate(speeds))) / body.scale if speeds else 0.0
