@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
-from bunraku.language.lexicon import lexicon, words_of
+from bunraku.language.lexicon import actions_of, lexicon, words_of
 from bunraku.language.phrasing import body_stems
 from bunraku.language.vocabulary import stems
 
@@ -118,9 +118,10 @@ def interaction_of(text: str) -> Interaction | None:
     surest, rows = max(dealt, key=lambda frame: frame.probability), lexicon().actions
     kind, _, name = surest.action.partition(" ")
     steps = [frame for frame in dealt if " " not in frame.action] if not name else [surest]
-    same = set(lexicon().reading["beside things"][kind if name else ""]).union(
-        *(reader.together[frame.action] for frame in steps)
-    )
+    gestures, beside_it = [one for one in actions_of(text) if rows[one].gesture], lexicon().reading["beside things"]
+    same = set(beside_it[kind if name else ""]).union(*(reader.together[frame.action] for frame in steps))
+    if kind == "sight" and not set(beside_it["sight"]).issuperset(gestures):
+        return None  # "looks at his watch", "looks up at the sky" say a gesture
     for frame in frames_of(text):
         beside = min(abs(frame.at - other.at) for other in steps) > _NEAR
         if beside and frame.action not in same and not rows[frame.action].vague:
@@ -136,8 +137,7 @@ def interaction_of(text: str) -> Interaction | None:
     if kind == "ground":
         return Terrain(name, height)
     if kind == "sight":
-        seen = lexicon().reading["gazes"].get(name) or (math.degrees(math.atan2(_EYES - height, _AWAY)),)
-        return Gaze(*seen)
+        return Gaze(*(lexicon().reading["gazes"].get(name) or (math.degrees(math.atan2(_EYES - height, _AWAY)),)))
     places = [HandlingStep(frame.action, _place(frame.fields)) for frame in steps]
     chest = HandlingStep("hold", Place("chest"))
     before, after = [chest] * (places[0].does == "put"), [chest] * (places[-1].does == "take")

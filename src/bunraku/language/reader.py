@@ -49,8 +49,10 @@ GUESSED = 0.1
 """Probability from which the likeliest action is shown as a guess where none is read. Of 336 held-out phrases in which
 none is read, 263 are then shown as something, 91 of them as what they name; of 58 that name nothing, 30.
 """
-DEALT = 0.5
-"""Probability from which something is done with a thing: likelier than not; measured with no other value."""
+DEALT = 0.6
+"""Probability from which something is done with a thing. Measured on 90 fresh clauses: as many are right as from 0.5.
+"Holds a plank", at 0.59, is nothing but the exercise.
+"""
 
 
 class Frame(NamedTuple):
