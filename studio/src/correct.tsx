@@ -67,6 +67,14 @@ export function sayKind(at: Vec3, kind: string): void {
   }
 }
 
+/** All parts that are there are of a kind, such as a ship's, which has no limbs. */
+function sayAll(one: Character, kind: string): void {
+  const { body, dress } = one;
+  if (body) {
+    void correct("say what all parts are", { ...body.said, part: [{ kind, at: [...body.parts, ...(dress ?? [])].map((part) => part.at) }] });
+  }
+}
+
 export const plain = (name: string): string => name.replaceAll("_", " ");
 
 function Place({ joint, free }: { joint: Body["joints"][number]; free: boolean }) {
@@ -135,6 +143,17 @@ export function Correct({ one }: { one: Character }) {
         </select>
       </label>
       {shown && <Place joint={shown} free={free} />}
+      {parts.length > 1 && (
+        <label class="field small">
+          <span>all parts</span>
+          <select id="all-parts" value="" disabled={!free} onChange={(event) => sayAll(one, event.currentTarget.value)}>
+            <option value="">as they are</option>
+            {KINDS.map((each) => (
+              <option key={each}>{each}</option>
+            ))}
+          </select>
+        </label>
+      )}
       {parts.map((part, number) => (
         <label
           class="field small"

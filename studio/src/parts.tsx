@@ -23,7 +23,7 @@ const keyOf = (one: Character): string => `${one.id}:${JSON.stringify(one.dress)
 let asked = "";
 effect(() => {
   const one = character.value;
-  const wanted = one?.state === "ready" && (correcting.value || colouring.value === "parts") ? keyOf(one) : "";
+  const wanted = one?.state === "ready" && one.dress && (correcting.value || colouring.value === "parts") ? keyOf(one) : "";
   if (one && wanted && wanted !== asked) {
     asked = wanted;
     void attempt(async () => {

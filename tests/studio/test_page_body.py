@@ -50,11 +50,16 @@ def test_a_joint_is_dragged_and_a_part_gets_another_kind(page):
     page.until(f"{SAID}.joints.head?.[1] === 1.3 && {READY}")
     page.page.select_option(".painting .field.small select >> nth=1", "prop")
     page.until(f"{SAID}.part.length === 1 && {SAID}.part[0].kind === 'prop' && {READY}")
+    count = page.value("studio.character.value.body.parts.concat(studio.character.value.dress ?? []).length")
+    page.page.select_option("#all-parts", "body")
+    page.until(f"{SAID}.part.length === 1 && {SAID}.part[0].kind === 'body' && {READY}")
+    assert page.value(f"{SAID}.part[0].at.length") == count
     assert page.value(SMALL) == []
     page.value((ROOT / "studio" / "node_modules" / "axe-core" / "axe.min.js").read_text(encoding="utf-8"))
     assert page.value(AXE) == []
 
-    for left in (f"{SAID}.part.length === 0", f"!{SAID}.joints.head", f"!{SAID}.joints.left_knee"):
+    undone = f"{SAID}.part[0].kind === 'prop'", f"{SAID}.part.length === 0", f"!{SAID}.joints.head"
+    for left in (*undone, f"!{SAID}.joints.left_knee"):
         page.page.click("[aria-label=undo]")
         page.until(f"{left} && {READY}")
     page.until(f"JSON.stringify({SAID}.joints) === '{{}}' && {SAID}.part.length === 0 && {READY}")
