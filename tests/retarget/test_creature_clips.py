@@ -10,13 +10,25 @@ from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES, HANDLE_PARENTS
 from bunraku.core.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 from bunraku.core.motion import HandleMotion, line_up
 from bunraku.errors import WeightsError
+from bunraku.files import load_character, own_animation
 from bunraku.files.samples import sample_character
 from bunraku.language.parse import parse
 from bunraku.pipelines.animator import Animator
 from bunraku.pipelines.apply import adapt_sentence
 from bunraku.pipelines.requests import Request
 from bunraku.retarget import creature_clips
-from bunraku.retarget.creature_clips import CreatureClip, creature_action, creature_motion, packed_clip, shipped_clips
+from bunraku.retarget.creature_clips import (
+    CreatureClip,
+    creature_action,
+    creature_motion,
+    own_clips,
+    packed_clip,
+    shipped_clips,
+)
+from bunraku.retarget.creatures import CreatureMotion, fit_body
+from bunraku.retarget.fit import Stages
+from bunraku.retarget.rig_parts import understood_rig
+from bunraku_lab.synthetic.samples import make_sample
 
 
 def bowing(frames):
@@ -117,3 +129,17 @@ def test_steps_on_the_spot_get_a_body_ahead_by_what_its_feet_go_back(monkeypatch
     assert np.median(slides) < 0.01 * dog.character.height
     turned = adapt_sentence(parse("a dog walks in a circle"), dog.anatomy.plan)
     assert creature_motion(turned, dog.anatomy, seed=0) is None
+
+
+def test_the_clips_of_a_file_show_what_its_creature_does(tmp_path):
+    dog = make_sample("dog", rigged=True)
+    meal = next(Animator.shipped().each(dog, [Request(parse("a dog eats", 3.0))]))
+    meal.save(tmp_path / "dog.glb", name="Eating")
+    parts = understood_rig(load_character(tmp_path / "dog.glb"))
+    (clip,) = own_clips(parts, ("eat",))
+    motion, _ = clip.unpacked
+    played = own_animation(parts.character, 0, 20.0).vertices()
+    again = fit_body(CreatureMotion(motion, parts.anatomy.plan, np.zeros(len(motion))), parts, Stages()).vertices()
+    frames = min(len(played), len(again))
+    assert np.abs(again[:frames] - played[:frames]).max(axis=(1, 2)).mean() < 0.1 * dog.height
+    assert own_clips(parts, ("attack",)) == ()

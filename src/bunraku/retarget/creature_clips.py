@@ -57,7 +57,6 @@ FADE = 6  # frames in which what follows begins as what was before ended; chosen
 NAMED, ALIKE = 2.0, 1.0
 """What it counts that a clip is of the animal that is named, or of one like it, against a body e times as long for its
 height; chosen by eye on sheets."""
-FAR = 0.7  # an animal whose shape is farther from a body shows nothing to it; chosen by eye on a crocodile (0.86)
 LESS = 0.3  # what each place counts by which an action stands behind the one that is asked for; chosen by eye
 _MOVES = (("stay", "lie", ""), ("step", "run"))  # how a body moves for which clips are looked up; steps last
 TRIED = 8  # of the clips that suit a body the most, for how low its head comes in them
@@ -291,7 +290,7 @@ def _chosen(
     shape, kind, offered = body_shape(anatomy), _kind(anatomy.plan), []
     for clip in (*shipped_clips(), *(own_clips(own, tuple(wanted)) if own and wanted else ())):
         far = float(np.hypot(*np.subtract(clip.shape, shape)))
-        if clip.action in wanted and clip.body == kind and far < FAR and not _lies_on_wings(clip, anatomy):
+        if clip.action in wanted and clip.body == kind and not _lies_on_wings(clip, anatomy):
             score = _likeness(clip, words) - LESS * wanted.index(clip.action) - far + SPREAD * random.gumbel()
             offered.append((score, clip))
     offered = sorted(offered, key=lambda pair: -pair[0])[:TRIED]
@@ -304,7 +303,8 @@ def _kind(plan: BodyPlan) -> str:
     """The kind of a body whose clips are alike; those without legs by how they move."""
     if plan.legs:
         return plan.kind
-    return "snake" if plan.slithers else "fish" if plan.swims else "wings" if plan.wings else plan.kind
+    fish = plan.swims and not plan.upright
+    return "snake" if plan.slithers else "fish" if fish else "wings" if plan.wings else plan.kind
 
 
 def _lies_on_wings(clip: CreatureClip, anatomy: Anatomy) -> bool:
