@@ -10,7 +10,7 @@ import numpy as np
 from bunraku.apparel.chains.chain import Chain
 from bunraku.apparel.clothed import ARMS, LEGS
 from bunraku.apparel.physics.bodies import body_limbs, rods_of
-from bunraku.apparel.physics.rig import ApparelRig, still_body
+from bunraku.apparel.physics.rig import ApparelRig, PhysicsSettings, still_body
 from bunraku.core.animation import Animation, RigAnimation
 from bunraku.core.avatars import MMD_METRE, MmdBody, MmdJoint
 from bunraku.core.body.layout import JOINT_COUNT, handle_names
@@ -37,7 +37,7 @@ def on_handle_rig(animation: Animation) -> RigAnimation:
     return RigAnimation.of_world(character, affine[..., :3], positions, animation.fps, animation.reference)
 
 
-GRAVITY = 98 * MMD_METRE  # of MMD's files, by which springs are measured [m/s^2]
+GRAVITY = PhysicsSettings.gravity  # by which springs are measured [m/s^2]
 GROUP, EMPTY_GROUP = 0, 15  # collision group of the chains, and one without bodies
 CLOTH = ("skirt", "cape")  # kinds whose chains are tied to their neighbours
 TWIST = np.radians(3.0)

@@ -9,6 +9,8 @@ import numpy as np
 from bunraku.apparel.body import BodyPoints, body_points, eq4_transforms, nearest_point
 from bunraku.apparel.clothed import GRAVITY, ClothedCharacter, Swing
 from bunraku.apparel.nodes import ApparelNodes, node_swing
+from bunraku.apparel.physics.rig import PhysicsSettings
+from bunraku.apparel.physics.simulate import BLEND
 from bunraku.core.body.layout import JOINT_COUNT, JOINT_PARENTS
 from bunraku.core.geometry.rotations import matrix_from_quaternion, matrix_y, quaternion_from_matrix, quaternion_slerp
 
@@ -92,10 +94,6 @@ class Pendulums:
         return self.points - positions
 
 
-# As in the simulation that the networks were trained on.
-BLEND = 0.6  # share of the way in which the pose changes; in the rest of it apparel settles
-
-
 def rest_transforms(joints: np.ndarray, first: np.ndarray) -> np.ndarray:
     """`[R | t]` of the rest pose with joints J (22, 3) at a frame's position and heading, both shape (22, 3, 4)."""
     mean = first[:, :, :3].mean(axis=0)
@@ -139,10 +137,7 @@ def _local(pose: np.ndarray, parents: np.ndarray) -> np.ndarray:
     return np.asarray(local)
 
 
-OWN_SUBSTEPS = 4
-
-# As in the simulation, and what the networks were trained on.
-LEAST_RATIO = 0.15  # least share of the critical damping, as in the simulation
+# What the networks were trained on.
 STIFFEST = 900.0  # spring [1/s^2]
 SHORT = 5e-3  # arms count as no shorter [m]
 
@@ -161,7 +156,7 @@ class OwnPendulum:
         self, swing: Swing, positions: np.ndarray, turns: np.ndarray, fps: float = 30.0,
         ease: np.ndarray | float = 1.0, calm: np.ndarray | float = 0.0,
     ):  # fmt: skip
-        self.step = 1 / (fps * OWN_SUBSTEPS)
+        self.step = 1 / (fps * SUBSTEPS)
         # a column for each node, so that a step is a few long operations
         self.axes = np.asarray(swing.axes, np.float64)
         arm = np.einsum("mba,mb->am", self.axes, swing.arm)
@@ -174,7 +169,7 @@ class OwnPendulum:
         self.spring = np.minimum(np.asarray(swing.spring, np.float64), STIFFEST).T
         self.lower, self.upper = np.asarray(swing.lower, np.float64).T, np.asarray(swing.upper, np.float64).T
         self.gravity = np.array([0, -GRAVITY, 0])[:, None] * weight
-        least = 2 * LEAST_RATIO * np.sqrt(self.spring.mean(axis=0) + fall)
+        least = 2 * PhysicsSettings.least_ratio * np.sqrt(self.spring.mean(axis=0) + fall)
         self.friction = np.maximum(ease * swing.friction, least) + calm
         self.drag = np.asarray(swing.drag, np.float64)
         self.bent, self.beyond = np.zeros((3, len(positions))), np.zeros(len(positions))
@@ -190,10 +185,10 @@ class OwnPendulum:
     def advance(self, positions: np.ndarray, turns: np.ndarray) -> np.ndarray:
         """The next frame: how far each node is from its carried position, in the world [m], shape (M, 3)."""
         frames, pivots = self._hung(positions, turns)
-        frame_change, pivot_change = (frames - self.frames) / OWN_SUBSTEPS, (pivots - self.pivots) / OWN_SUBSTEPS
+        frame_change, pivot_change = (frames - self.frames) / SUBSTEPS, (pivots - self.pivots) / SUBSTEPS
         held = (pivot_change + _out(frame_change, self.arm * self.length)) / self.step
         frame, pivot = self.frames, self.pivots
-        for _ in range(OWN_SUBSTEPS):
+        for _ in range(SUBSTEPS):
             frame, pivot = frame + frame_change, pivot + pivot_change
             pull = _cross_by_axis(_out(frame, -self.spring * self.bent), self.points - pivot)
             force = self.gravity + pull - self.friction * (self.speed - held) - self.drag * self.speed

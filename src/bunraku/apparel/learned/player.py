@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from bunraku.apparel.body import BodyPoints, Planes, PosedBody, eq4_transforms, surface_points
 from bunraku.apparel.clothed import LEGS, ClothedCharacter
+from bunraku.apparel.layers import FEW
 from bunraku.apparel.learned.features import (
     LEAD_IN,
     Frame,
@@ -136,7 +137,6 @@ _MINORS = np.array([
 HELD = 0.02  # nodes as near to where their part is held do not move, over the character's size [m]
 BESIDE = 0.03  # how near to the way out through a node legs count, over the character's size [m]
 STEPS = 2  # out of the body for vertices: what is near a deep one is not what is near where it comes out
-FEW = 0.25  # share of the apparel around a node that must be pushed for it to move by as much
 
 
 @dataclass(frozen=True)

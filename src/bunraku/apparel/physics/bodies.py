@@ -299,7 +299,7 @@ def _depths(parents: np.ndarray) -> list[int]:
 GIMBAL = np.radians(80.0)
 # Chosen by eye on simulations of Uka, Gene and the wardrobe.
 SLACK = 0.1  # how far a body may go along an axis that its file frees altogether [m]
-_ANGLE_UNIT = MMD_METRE**2  # torques of MMD are mass times its unit squared over seconds squared
+NEWTON_METRE = MMD_METRE**2  # a spring of 1 in a file [N m / rad]: MMD's forces are in kg unit / s^2
 
 
 @dataclass(frozen=True)
@@ -332,13 +332,13 @@ def freedoms(link: Link) -> list[Freedom]:
             stiff = max(float(joint.spring[axis]), 0.0)
             out.append(Freedom("slide", joint.rotation[:, axis], float(start), float(end), stiff))
     low, high = _range(joint.angle_lower, joint.angle_upper, link.turned)
-    stiffness = np.maximum(joint.angle_spring, 0) * _ANGLE_UNIT
+    stiffness = np.maximum(joint.angle_spring, 0) * NEWTON_METRE
     for other, turned in link.more:
         more_low, more_high = _range(other.angle_lower, other.angle_upper, turned)
         both_low, both_high = np.maximum(low, more_low), np.minimum(high, more_high)
         good = both_low <= both_high
         low, high = np.where(good, both_low, low), np.where(good, both_high, high)
-        stiffness = stiffness + np.maximum(other.angle_spring, 0) * _ANGLE_UNIT
+        stiffness = stiffness + np.maximum(other.angle_spring, 0) * NEWTON_METRE
     open_axes = high - low > STIFF
     if max(-low[1], high[1]) > GIMBAL and open_axes.all():
         widest = float(max(-low.min(), high.max()))

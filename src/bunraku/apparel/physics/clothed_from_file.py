@@ -11,14 +11,20 @@ from bunraku.apparel.body import UnifiedBody
 from bunraku.apparel.clothed import FREE, SWING_NUMBERS, ClothedCharacter, Swing
 from bunraku.apparel.mask import apparel_mask
 from bunraku.apparel.nodes import apparel_parts, clothed_with_springs
-from bunraku.apparel.physics.bodies import Forest, Link, apparel_forest, freedoms, loss_rate
+from bunraku.apparel.physics.bodies import (
+    NEWTON_METRE,
+    SLACK,
+    STIFF,
+    Forest,
+    Link,
+    apparel_forest,
+    freedoms,
+    loss_rate,
+)
 from bunraku.apparel.physics.rig import ApparelRig, PhysicsSettings, apparel_rig
-from bunraku.core.avatars import MMD_METRE, MmdBody
+from bunraku.core.avatars import MmdBody
 from bunraku.core.character import Character
 from bunraku.errors import CharacterError
-
-NEWTON_METRE = MMD_METRE**2
-"""A spring of 1 in a file [N m / rad]: MMD's forces are in kg unit / s^2."""
 
 
 def body_springs(rig: ApparelRig) -> np.ndarray:
@@ -50,10 +56,8 @@ def bending_limits(rig: ApparelRig, parents: np.ndarray) -> np.ndarray:
     return out
 
 
-# The displacement networks were trained with these.
-LEAST = 1e-3  # what a locked joint counts for in where a chain rotates [rad]
+# The displacement networks were trained with this.
 SHORT = 0.01  # levers count as no shorter where something slides [m]
-SLIDE = 0.1  # as far an axis slides that is free altogether (`world`) [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,8 +78,8 @@ class _Joint:
     def turn(self) -> float:
         """About how far it rotates [rad]."""
         if not len(self.axes):
-            return LEAST
-        return max(float(np.minimum(0.5 * (self.upper - self.lower), self.sag).max()), LEAST)
+            return STIFF
+        return max(float(np.minimum(0.5 * (self.upper - self.lower), self.sag).max()), STIFF)
 
 
 def vertex_swing(character: Character, rig: ApparelRig) -> Swing:
@@ -197,7 +201,7 @@ def _joints(rig: ApparelRig, forest: Forest, positions: np.ndarray) -> dict[int,
         axes, lower, upper, stiffness, sag, slides = [], [], [], [], [], 0.0
         for freedom in freedoms(link):
             if freedom.kind == "slide":
-                slides += min(max(abs(freedom.lower), abs(freedom.upper)), SLIDE)
+                slides += min(max(abs(freedom.lower), abs(freedom.upper)), SLACK)
                 continue
             ball = freedom.kind == "ball" and freedom.limited
             low, high = -freedom.upper if ball else freedom.lower, freedom.upper
