@@ -115,7 +115,7 @@ interface Changes {
   changes: [string, unknown][];
 }
 
-const BUSY = 250; // milliseconds between two questions while something is being made
+const BUSY = 150; // milliseconds between two questions while something is being made
 const IDLE = 1500;
 const HIDDEN = 5000;
 

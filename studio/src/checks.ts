@@ -32,6 +32,7 @@ function silhouette(view: Viewer, at: number, width: number, height: number, eye
   renderer.setViewport(0, 0, width, height);
   camera.position.fromArray(eye);
   camera.lookAt(new Vector3().fromArray(target));
+  camera.clearViewOffset();
   camera.aspect = width / height;
   camera.zoom = 1;
   camera.updateProjectionMatrix();

@@ -77,7 +77,7 @@ function ExportDialog() {
       >
         <h2 id="export-title">Export</h2>
         <label class="field">
-          <span>as</span>
+          <span>format</span>
           <select id="format" value={choice} onChange={(event) => choose(event.currentTarget.value)}>
             {presets.length > 0 && (
               <optgroup label="for a program">

@@ -124,7 +124,8 @@ export function LiveBar() {
         End and keep
       </button>
       <p class="understood" role="status">
-        <b>Now: {living.value?.said}.</b> Arrow keys steer it. It looks at the mouse; hold the button, and it reaches.
+        <b>Now: {living.value?.said}.</b>
+        <span>Arrow keys steer it. It looks at the mouse; hold the button, and it reaches.</span>
       </p>
       <div class="how keys">
         <Key name="arrows" which="walk" sentence={now.walk} />

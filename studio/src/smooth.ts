@@ -1,6 +1,6 @@
 // Normals for a mesh that has none: smooth where faces meet at a small angle, an edge where they do not.
 
-import { BufferAttribute, type BufferGeometry } from "three";
+import { BufferAttribute, Vector3, type BufferGeometry } from "three";
 
 /** Faces that meet at more than this stay apart [rad]; chosen by eye on the six samples and a box. */
 const CREASE = (50 * Math.PI) / 180;
@@ -8,14 +8,19 @@ const MOST_FACES = 400_000; // above this every edge is smoothed: looking for cr
 
 /** Of each vertex the first one at the same place, to a millionth of the mesh's reach. */
 function welded(places: Float32Array, count: number): Uint32Array {
-  const first = new Map<string, number>();
   const grain = 1e6 / (places.reduce((most, value) => Math.max(most, Math.abs(value)), 0) || 1);
-  const cell = (at: number): number => Math.round((places[at] ?? 0) * grain);
+  const cells = Int32Array.from(places, (value) => Math.round(value * grain));
+  const mask = 2 ** Math.ceil(Math.log2(2 * count + 1)) - 1;
+  const table = new Int32Array(mask + 1).fill(-1); // open addressing: keys of text take a second of 50,000 vertices
   return Uint32Array.from({ length: count }, (_, vertex) => {
-    const key = `${cell(vertex * 3)},${cell(vertex * 3 + 1)},${cell(vertex * 3 + 2)}`;
-    const known = first.get(key) ?? vertex;
-    first.set(key, known);
-    return known;
+    const [x, y, z] = [cells[vertex * 3]!, cells[vertex * 3 + 1]!, cells[vertex * 3 + 2]!];
+    let slot = (Math.imul(x, 73856093) ^ Math.imul(y, 19349663) ^ Math.imul(z, 83492791)) & mask;
+    for (let other = table[slot]!; other >= 0; slot = (slot + 1) & mask, other = table[slot]!) {
+      if (cells[other * 3] === x && cells[other * 3 + 1] === y && cells[other * 3 + 2] === z) {
+        return other;
+      }
+    }
+    return (table[slot] = vertex);
   });
 }
 
@@ -26,27 +31,26 @@ function welded(places: Float32Array, count: number): Uint32Array {
 export function smooth(geometry: BufferGeometry): void {
   const position = geometry.getAttribute("position");
   const { count } = position;
-  const places = Float32Array.from({ length: count * 3 }, (_, at) => position.getComponent(Math.floor(at / 3), at % 3));
-  const corners = geometry.index
-    ? Uint32Array.from({ length: geometry.index.count }, (_, at) => geometry.index?.getX(at) ?? 0)
-    : Uint32Array.from({ length: count }, (_, at) => at);
+  const places = new Float32Array(count * 3);
+  const spot = new Vector3();
+  for (let vertex = 0; vertex < count; vertex += 1) {
+    spot.fromBufferAttribute(position, vertex).toArray(places, vertex * 3);
+  }
+  const corners = geometry.index ? new Uint32Array(geometry.index.array) : new Uint32Array(count).map((_, at) => at);
   const points = welded(places, count);
   const faces = Math.floor(corners.length / 3);
   const flat = new Float32Array(faces * 3); // as long as twice its area
   const unit = new Float32Array(faces * 3);
-  for (let face = 0; face < faces; face += 1) {
-    const [a, b, c] = [0, 1, 2].map((one) => (corners[face * 3 + one] as number) * 3) as [number, number, number];
-    const u = [0, 1, 2].map((axis) => (places[b + axis] as number) - (places[a + axis] as number)) as [number, number, number];
-    const v = [0, 1, 2].map((axis) => (places[c + axis] as number) - (places[a + axis] as number)) as [number, number, number];
-    const normal = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]] as const;
-    const length = Math.hypot(...normal) || 1;
-    normal.forEach((value, axis) => {
-      flat[face * 3 + axis] = value;
-      unit[face * 3 + axis] = value / length;
-    });
+  const [u, v] = [new Vector3(), new Vector3()];
+  for (let corner = 0; corner < faces * 3; corner += 3) {
+    spot.fromArray(places, corners[corner]! * 3);
+    u.fromArray(places, corners[corner + 1]! * 3).sub(spot);
+    v.fromArray(places, corners[corner + 2]! * 3).sub(spot);
+    u.cross(v).toArray(flat, corner);
+    u.normalize().toArray(unit, corner);
   }
   // Corners that share a normal: those of a point whose faces are joined by edges without a crease.
-  const parent = Uint32Array.from({ length: faces * 3 }, (_, corner) => corner);
+  const parent = new Uint32Array(faces * 3).map((_, corner) => corner);
   const top = (corner: number): number => {
     let at = corner;
     while (parent[at] !== at) {
@@ -59,15 +63,15 @@ export function smooth(geometry: BufferGeometry): void {
   const cosine = faces > MOST_FACES ? -2 : Math.cos(CREASE);
   for (let corner = 0; corner < faces * 3; corner += 1) {
     const next = corner % 3 === 2 ? corner - 2 : corner + 1;
-    const [from, to] = [points[corners[corner] as number] as number, points[corners[next] as number] as number];
+    const from = points[corners[corner]!]!;
+    const to = points[corners[next]!]!;
     const edge = Math.min(from, to) * count + Math.max(from, to);
     const other = open.get(edge);
     if (other === undefined) {
       open.set(edge, corner);
       continue;
     }
-    const [one, two] = [Math.floor(corner / 3) * 3, Math.floor(other / 3) * 3];
-    const turn = [0, 1, 2].reduce((sum, axis) => sum + (unit[one + axis] as number) * (unit[two + axis] as number), 0);
+    const turn = u.fromArray(unit, corner - (corner % 3)).dot(v.fromArray(unit, other - (other % 3)));
     if (turn >= cosine) {
       const after = other % 3 === 2 ? other - 2 : other + 1;
       const same = points[corners[other] as number] === from;
@@ -78,15 +82,12 @@ export function smooth(geometry: BufferGeometry): void {
   const sums = new Float32Array(faces * 9);
   for (let corner = 0; corner < faces * 3; corner += 1) {
     const at = top(corner) * 3;
-    const face = Math.floor(corner / 3) * 3;
-    for (let axis = 0; axis < 3; axis += 1) {
-      sums[at + axis] = (sums[at + axis] as number) + (flat[face + axis] as number);
-    }
+    u.fromArray(sums, at).add(v.fromArray(flat, corner - (corner % 3))).toArray(sums, at);
   }
   const owner = new Int32Array(count).fill(-1); // the group whose normal a vertex has
   const copies: number[] = [];
   const groups: number[] = [];
-  const copied = new Map<string, number>();
+  const copied = new Map<number, number>();
   for (let corner = 0; corner < faces * 3; corner += 1) {
     const vertex = corners[corner] as number;
     const group = top(corner);
@@ -94,7 +95,7 @@ export function smooth(geometry: BufferGeometry): void {
       owner[vertex] = group;
     }
     if (owner[vertex] !== group) {
-      const key = `${vertex}:${group}`;
+      const key = vertex * faces * 3 + group;
       const known = copied.get(key) ?? count + copies.length;
       if (known === count + copies.length) {
         copied.set(key, known);
@@ -114,13 +115,11 @@ export function smooth(geometry: BufferGeometry): void {
     geometry.setIndex(new BufferAttribute(corners, 1));
   }
   const normals = new Float32Array((count + copies.length) * 3);
-  [...owner, ...groups].forEach((group, vertex) => {
-    const at = Math.max(group, 0) * 3;
-    const length = Math.hypot(sums[at] ?? 0, sums[at + 1] ?? 0, sums[at + 2] ?? 0);
-    for (let axis = 0; axis < 3; axis += 1) {
-      normals[vertex * 3 + axis] = length > 0 ? (sums[at + axis] as number) / length : axis === 1 ? 1 : 0;
-    }
-  });
+  for (let vertex = 0; vertex < count + copies.length; vertex += 1) {
+    const group = vertex < count ? owner[vertex]! : groups[vertex - count]!;
+    u.fromArray(sums, Math.max(group, 0) * 3);
+    (u.lengthSq() > 0 ? u.normalize() : u.set(0, 1, 0)).toArray(normals, vertex * 3);
+  }
   geometry.setAttribute("normal", new BufferAttribute(normals, 3));
   geometry.userData["copies"] = Uint32Array.from(copies);
 }

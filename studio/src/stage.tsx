@@ -63,6 +63,7 @@ function clip(one: Take): Promise<Clip> {
  */
 const SLOW = 0.09;
 const REST = 1500;
+const PICTURED = 400; // milliseconds after the last take until a card's picture is drawn; chosen by eye
 
 export const seconds = (): number => Math.max(0, ...(viewer?.panes ?? []).map((pane) => pane.clip?.seconds ?? 0));
 
@@ -146,7 +147,7 @@ async function refresh(): Promise<void> {
       const moving = panes[0]?.clip;
       if (owner.picture !== owner.version && pictured !== frame && moving && !alive && !correcting.value) {
         pictured = frame;
-        void photograph(owner, skins[0] === "bones" ? null : moving).catch(() => undefined); // it is no loss
+        void quiet().then(() => photograph(owner, skins[0] === "bones" ? null : moving)).catch(() => undefined); // it is no loss
       }
       paint();
     } catch (error) {
@@ -155,6 +156,16 @@ async function refresh(): Promise<void> {
     }
   });
 }
+
+/** When nothing is being made any more, and a moment later: what comes first is what was asked for. */
+const quiet = (): Promise<void> =>
+  new Promise((resolve) => {
+    const stop = effect(() => {
+      if (!running.value.length) {
+        setTimeout(() => (stop(), resolve()), PICTURED);
+      }
+    });
+  });
 
 /** Keep a picture of a character for its card: moments of what it does now, which move when the card is pointed at. */
 async function photograph(owner: Character, shown: Clip | null): Promise<void> {
@@ -211,6 +222,7 @@ export function Stage({ children }: { children?: preact.ComponentChildren }) {
         choose(label);
       }
     };
+    let seen = "";
     const stops = [
       effect(() => {
         void [living.value, correcting.value, about.value, character.value, take.value, comparing.value, takes.value, characters.value, doc.value.live, painting.value];
@@ -224,6 +236,7 @@ export function Stage({ children }: { children?: preact.ComponentChildren }) {
         const owner = character.value;
         const one = take.value;
         const shownModel = view.panes[0]?.model;
+        const before = seen;
         view.marks = {
           skeleton: colouring.value === "skeleton" && owner ? skeletonOf(owner, one?.skin ?? "handles", shownModel?.bones ?? []) : [],
           chains: colouring.value === "chains" && owner && one?.skin !== "bones" ? strandsOf(owner, shownModel?.bones.length ?? 0) : [],
@@ -249,7 +262,10 @@ export function Stage({ children }: { children?: preact.ComponentChildren }) {
         view.directing = !living.value && !correcting.value && !painting.value && !playing.value && one?.state === "done" && one.skin !== "bones" && !comparing.value;
         view.drawing = drawing.value;
         view.follow = follow.value;
-        view.touch();
+        seen = JSON.stringify([view.marks, view.directing, view.drawing, view.follow]);
+        if (seen !== before) {
+          view.touch(); // a record that changed is no reason to draw
+        }
       }),
       effect(() => {
         void living.value; // what lives has a time of its own

@@ -68,7 +68,19 @@ const REACHED = 0.6;
 const LOOKED = 1.2;
 const HELD = 0.25;
 const CLICKED = 4; // pixels that the pointer moves in a click
+const FREE = 480; // pixels that a character has between two panels; where there are fewer, it stands under a low right one
 const HOME = 0.12; // [s] in which what was dragged aside goes back by a factor of e
+
+/** Pixels at the left and the right of a view that panels lie over. */
+function covered(holder: HTMLElement): [number, number] {
+  const view = holder.getBoundingClientRect();
+  const [one, other] = ["left", "right"].map((side) => document.querySelector(`aside.${side}`)?.getBoundingClientRect());
+  const beside = (panel?: DOMRect): boolean => Boolean(panel?.width && panel.width < view.width / 2); // no sheet of a phone
+  const left = one && beside(one) ? Math.max(0, one.right - view.left) : 0;
+  const right = other && beside(other) ? Math.max(0, view.right - other.left) : 0;
+  const tall = (other?.height ?? 0) > view.height / 2;
+  return [left, tall || view.width - left - right >= FREE ? right : 0];
+}
 
 export class Viewer {
   readonly renderer: WebGLRenderer;
@@ -118,6 +130,7 @@ export class Viewer {
   private stroke: [number, number][] = [];
   private readonly ray = new Raycaster();
   private size = 1;
+  private covered: [number, number] = [0, 0];
   private shape = 1; // width over height of the narrowest pane that holds the character at the camera's distance
 
   constructor(holder: HTMLElement) {
@@ -140,7 +153,8 @@ export class Viewer {
     this.sun.shadow.radius = 7;
     this.scene.add(this.sky, this.sun, this.sun.target, this.fill, this.fill.target, this.floor.group);
     this.theme(false);
-    new ResizeObserver(() => this.fit(holder)).observe(holder);
+    const watch = new ResizeObserver(() => this.fit(holder));
+    [holder, ...document.querySelectorAll("aside")].forEach((each) => watch.observe(each));
     this.fit(holder);
     this.canvas.addEventListener("pointerdown", (event) => this.down(event));
     this.canvas.addEventListener("pointermove", (event) => this.move(event));
@@ -156,9 +170,10 @@ export class Viewer {
     return this.size;
   }
 
-  /** The ray through the middle of the view. */
+  /** The ray through the middle of what is free of the view. */
   middle(): Ray {
-    this.ray.setFromCamera(new Vector2(0, 0), this.camera);
+    const [left, right] = this.covered;
+    this.ray.setFromCamera(new Vector2((left - right) / Math.max(this.canvas.clientWidth, 1), 0), this.camera);
     return this.ray.ray;
   }
 
@@ -199,7 +214,11 @@ export class Viewer {
     const width = Math.max(holder.clientWidth, 50);
     const height = Math.max(holder.clientHeight, 50);
     this.renderer.setSize(width, height);
+    this.covered = covered(holder);
     this.touch();
+    if (this.panes.length) {
+      this.draw(); // at once: a canvas of another size is blank
+    }
   }
 
   /** Look at a character of this extent from the front and aside. */
@@ -211,7 +230,8 @@ export class Viewer {
     this.size = Math.max(high[0] - low[0], high[1] - low[1], high[2] - low[2], 1e-3);
     const middle = new Vector3((low[0] + high[0]) / 2, (low[1] + high[1]) / 2, (low[2] + high[2]) / 2);
     const wide = Math.hypot(high[0] - low[0], high[2] - low[2]);
-    const aspect = Math.max(this.canvas.clientWidth, 1) / Math.max(this.canvas.clientHeight, 1);
+    const [left, right] = this.covered;
+    const aspect = Math.max(this.canvas.clientWidth - left - right, 1) / Math.max(this.canvas.clientHeight, 1);
     this.shape = Math.min((wide * 1.25) / ((high[1] - low[1]) * 1.7 || 1), aspect);
     const away = Math.max((high[1] - low[1]) * 1.7, (wide * 1.25) / aspect) / (2 * Math.tan((FOV * Math.PI) / 360));
     const yaw = 0.56;
@@ -302,9 +322,9 @@ export class Viewer {
       const row = Math.floor(number / columns);
       const wide = width / columns;
       const high = height / rows;
-      this.camera.aspect = wide / high;
-      this.camera.zoom = Math.min(1, this.camera.aspect / this.shape);
-      this.camera.updateProjectionMatrix();
+      const [before, behind] = count === 1 ? this.covered : [0, 0];
+      this.camera.zoom = Math.min(1, (wide - before - behind) / high / this.shape);
+      this.camera.setViewOffset(wide, high, (behind - before) / 2, 0, wide, high);
       if (!pane.clip && pane.bound) {
         rest(pane.model);
       }
