@@ -139,6 +139,8 @@ class Jobs:
         self.warm = False
         self._cancelled_at = 0.0
         self._stopping = False
+        self.ending: str | None = None
+        """The job whose results are being taken in: they are there a moment before it is seen to be done."""
         self._thread: threading.Thread | None = None
         for record in store.all("jobs"):  # of a run that ended before they did
             self._jobs[record["id"]] = cast(
@@ -337,7 +339,7 @@ class Jobs:
         """Take in how a job ended. Its results come first, so that they are there when it is seen to be done; writing
         them goes on outside the lock.
         """
-        error = str(said.get("error", ""))
+        error, self.ending = str(said.get("error", "")), job["id"]
         try:
             self._finish(job, state, said)
         except NotThere:

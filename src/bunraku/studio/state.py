@@ -211,9 +211,11 @@ class State:
             else:
                 self.store.drop("exports", about["export"])
 
-    def busy(self, kind: str, name: str) -> bool:
-        """Whether a job is waiting or running that is about a thing."""
+    def busy(self, name: str) -> bool:
+        """Whether a job is waiting or running that is about a thing, and not just being taken in."""
         return any(
-            job["state"] in OPEN_STATES and name in (job["about"].get("character"), *job["about"].get("takes", ()))
+            job["state"] in OPEN_STATES
+            and job["id"] != self.jobs.ending
+            and name in (job["about"].get("character"), *job["about"].get("takes", ()))
             for job in self.jobs.all()
         )

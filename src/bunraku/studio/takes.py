@@ -97,16 +97,13 @@ class Animate:
             request, moved = replace(request, handles=handles), body
 
         if self.draft:
-
-            def quickly(stage: str, done: float) -> None:
-                report("draft", 0.02 + 0.04 * done)
-
             report("draft", 0.02)
             sampling = replace(request.sampling, seed=self.seeds[0], steps=None, guidance=None, candidates=1)
             quick = replace(
                 request, sampling=sampling, apparel=Apparel(), stages=DRAFT_STAGES, handles=handles, rig="handles"
             )  # fmt: skip
-            (draft,) = Animator(Known(handles=handles), progress=quickly).moved(body, [quick])
+            animator = Animator(Known(handles=handles), progress=lambda _, done: report("draft", 0.02 + 0.04 * done))
+            (draft,) = animator.moved(body, [quick])
             partly({"take": self.takes[0], **workspace.keep(draft, self.takes[0], self.character, draft=True)})
         ranges = {"generate": (0.1, 0.6), "fit": (0.7, 0.1)}
 
@@ -119,6 +116,11 @@ class Animate:
         for name, motion in zip(self.takes, bodies, strict=True):
             finish_takes({name: dress_take(motion, request.apparel, whole)}, self.character, workspace, partly)
         return {"takes": list(self.takes)}
+
+
+def _one_of(report: Progress, number: int, count: int) -> Progress:
+    """How far one of several takes is, as a share of all."""
+    return lambda stage, done: report(stage, (number + 0.9 * done) / count)
 
 
 def _followed(workspace: Workspace, request: Request, owner: str) -> Request:
@@ -149,11 +151,8 @@ class Edit:
             if pose.take and (pose.take != self.parent or at != pose.time):
                 clip = _with_pose(clip, workspace.take(pose.take, self.character), pose.time, at)
         for number, (name, seed) in enumerate(zip(self.takes, self.seeds, strict=True)):
-
-            def ahead(stage: str, done: float, number: int = number) -> None:
-                report(stage, (number + 0.9 * done) / len(self.takes))
-
-            edited_motion = edited(Animator.shipped(ahead), clip, request.with_seed(seed))
+            animator = Animator.shipped(_one_of(report, number, len(self.takes)))
+            edited_motion = edited(animator, clip, request.with_seed(seed))
             finish_takes({name: dress_take(edited_motion, request.apparel, report)}, self.character, workspace, partly)
         return {"takes": list(self.takes)}
 
@@ -307,10 +306,7 @@ class Play(DressForm):
         apparel, constraints = self.apparel_request, Constraints.from_json(self.constraints)
         check_fits(apparel, character, sum(piece.seconds for piece in self.pieces))
         for number, (name, seed) in enumerate(zip(self.takes, self.seeds, strict=True)):
-
-            def ahead(stage: str, done: float, number: int = number) -> None:
-                report(stage, (number + 0.9 * done) / len(self.takes))
-
+            ahead = _one_of(report, number, len(self.takes))
             animator = Animator(Known(handles=handles), progress=ahead)
             motion = self._reference(animator, body, seed, constraints.loop)
             if apparel.motion == "simulate":

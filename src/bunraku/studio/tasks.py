@@ -37,7 +37,6 @@ from bunraku.studio.workspace import (
     Workspace,
     apparel_facts,
     character_facts,
-    corrected_facts,
     opened_character,
 )
 
@@ -76,8 +75,9 @@ class Open:
             (folder / file_name).unlink(missing_ok=True)
         shutil.rmtree(folder / PREVIEWS, ignore_errors=True)
         save_handles(handles, folder / "handles.npz")
-        body = {"body": corrected_facts(character, handles)}
-        return {**taken, **character_facts(character, handles), **body, "clips": _clips_of(character), "chains": []}
+        workspace.character(self.character, character)  # what was just read is not read again
+        facts = character_facts(workspace.body(self.character).anatomy)
+        return {**taken, **facts, "clips": _clips_of(character), "chains": []}
 
 
 @dataclass(frozen=True)

@@ -101,12 +101,13 @@ def apparel_facts(character: Character, anatomy: Anatomy, worn: Path, painted: b
     return {"apparel": has_apparel(mask), "ends": ends, "dress": kinds}
 
 
-def character_facts(character: Character, handles: Handles) -> dict[str, Any]:
+def character_facts(anatomy: Anatomy) -> dict[str, Any]:
     """What a page shows of a character."""
     from bunraku.anatomy.names.bone_names import rig_handles
     from bunraku.apparel.physics.rig import apparel_rig
     from bunraku.core.avatars import mmd_model
 
+    character, handles = anatomy.character, anatomy.handles
     try:
         usable = character.rig is not None and rig_handles(character) is not None
     except CharacterError:
@@ -116,29 +117,28 @@ def character_facts(character: Character, handles: Handles) -> dict[str, Any]:
     except Exception:  # a character opens even where its physics are broken
         physics = False
     low, high = character.vertices[character.surface].min(axis=0), character.vertices[character.surface].max(axis=0)
-    used = np.flatnonzero(handles.weights.max(axis=0) > 0.01)
     return {
         "vertices": len(character.vertices), "faces": len(character.faces), "height": round(character.height, 4),
         "bounds": [low.astype(float).round(4).tolist(), high.astype(float).round(4).tolist()],
         "joints": 0 if character.rig is None else len(character.rig.names), "rig": usable, "physics": physics,
         "skeleton": _has_skeleton(character), "mmd": mmd_model(character) is not None,
         "roles": handles.played.tolist(), "positions": handles.positions.astype(float).round(5).tolist(),
-        "used": used.tolist(),
+        "used": np.flatnonzero(handles.weights.max(axis=0) > 0.01).tolist(), "body": corrected_facts(anatomy),
     }  # fmt: skip
 
 
-def corrected_facts(character: Character, handles: Handles) -> dict[str, Any]:
+def corrected_facts(anatomy: Anatomy) -> dict[str, Any]:
     """What a page shows of a body so that a person can correct it: `joints` with their positions [m] and parents,
     `parts`, and what is `said` already, as `core.body.corrections.Corrections` has it.
     """
-    joints = Anatomy.of(character, handles).joints
+    character, handles, joints = anatomy.character, anatomy.handles, anatomy.joints
     at, names = joint_facts(handles, joints), handle_names(handles.played)
     listed = [
         {"name": name, "parent": names[joints.parents[names.index(name)]] if name != names[0] else None, "point": point}
         for name, point in at.items()
     ]
-    said = to_json(character.corrections or Corrections())
-    return {"joints": listed, "parts": piece_facts(character, handles), "said": said}
+    said = character.corrections or Corrections()
+    return {"joints": listed, "parts": piece_facts(character, handles), "said": to_json(said)}
 
 
 PREVIEWS = "clips"
@@ -171,8 +171,8 @@ class Workspace:
         """The folder of a thing; names are those that the store gave."""
         return self.folder / kind / name
 
-    def character(self, name: str) -> tuple[Character, Handles]:
-        """A character that was opened, with its handles."""
+    def character(self, name: str, read: Character | None = None) -> tuple[Character, Handles]:
+        """A character that was opened, with its handles. `read` is what was read of its file a moment ago."""
         folder = self.folder_of("characters", name)
         handles_file = folder / "handles.npz"
         try:
@@ -182,8 +182,9 @@ class Workspace:
             raise OptionError("this character is not open; open its file again") from None
         key = (name, stamp)
         if key not in self._open:
-            character, _ = opened_character(folder / record["file"], Settings(**record["settings"]))
-            self._open[key] = replace(character, name=record["name"][:60]), load_handles(handles_file)
+            if read is None:
+                read, _ = opened_character(folder / record["file"], Settings(**record["settings"]))
+            self._open[key] = replace(read, name=record["name"][:60]), load_handles(handles_file)
             while len(self._open) > KEPT:
                 self._open.popitem(last=False)
         self._open.move_to_end(key)
@@ -196,11 +197,10 @@ class Workspace:
         return painted_file(folder / record["file"]).is_file()
 
     def body(self, name: str) -> Body:
-        """A character that was opened, with what is known of its handles' anatomy worked out once."""
+        """A character that was opened; what is found of its handles' anatomy is kept."""
         character, handles = self.character(name)
         if name not in self._bodies or self._bodies[name].character is not character:
-            anatomy = Anatomy.of(character, handles).measured()
-            self._bodies[name] = Body(character, handles.features, anatomy)
+            self._bodies[name] = Body(character, handles.features, Anatomy.of(character, handles))
             while len(self._bodies) > KEPT:
                 self._bodies.popitem(last=False)
         return self._bodies[name]

@@ -93,14 +93,13 @@ def character(request: Request, form: CharacterForm) -> Any:
     if form.deleted is False:
         record = state.change("characters", name, deleted=False)
     if form.name is not None:
-        title, _ = reading.plain_name(f"{form.name}.x")
-        record = state.change("characters", name, name=title)
+        record = state.change("characters", name, name=reading.plain_name(f"{form.name}.x")[0])
     old = record["settings"]
     settings = {key: getattr(form, key) or old[key] for key in UNTOUCHED}
     if settings == old and record["state"] in ("ready", "opening"):
         return record
     Settings(**settings)  # refuses axes that do not go together
-    if state.busy("characters", name):
+    if state.busy(name):
         raise OptionError("something is being made of this character; wait for it, or cancel it")
     state.change("characters", name, settings=settings)
     opened = state.open(name, record["file"])
@@ -116,7 +115,7 @@ def body(request: Request, form: Corrections | dict[str, Any]) -> Any:
     record = state.store.get("characters", name)
     file = state.store.folder_of("characters", name) / record["file"]
     said = form if isinstance(form, Corrections) else Corrections()
-    if state.busy("characters", name):
+    if state.busy(name):
         raise OptionError("something is being made of this character; wait for it, or cancel it")
     old = read_corrections(file) or Corrections()
     if said == Corrections():
@@ -148,14 +147,11 @@ async def picture(request: Request) -> Any:
         kind = "image/png" if path.read_bytes()[:4] == PNG else "image/webp"
         return FileResponse(path, media_type=kind)
     record = reading.ready_character(state, name)
-    data = bytearray()
-    async for chunk in request.stream():
-        data += chunk
-        if len(data) > MOST_PICTURE:
-            raise reading.TooLarge(f"a picture of more than {MOST_PICTURE >> 10} KiB is not taken; draw a smaller one")
+    refused = reading.TooLarge(f"a picture of more than {MOST_PICTURE >> 10} KiB is not taken; draw a smaller one")
+    data = await reading.data_of(request, MOST_PICTURE, refused)
     if data[:4] != PNG and (data[:4] != b"RIFF" or data[8:12] != b"WEBP"):
         raise FormatError("picture", "it is neither a PNG nor a WebP; draw it again")
-    return await run_in_threadpool(_pictured, state, record, bytes(data))
+    return await run_in_threadpool(_pictured, state, record, data)
 
 
 def _pictured(state: State, record: dict[str, Any], data: bytes) -> dict[str, Any]:
@@ -173,14 +169,10 @@ async def mask(request: Request) -> Any:
     worn = state.store.file("characters", name, WORN)
     painted = painted_file(state.store.folder_of("characters", name) / record["file"])
     if request.method == "GET":
-        data = await run_in_threadpool(shown_mask, worn, painted)
-        return Response(data, media_type="application/octet-stream")
-    bits = bytearray()
-    async for chunk in request.stream():
-        bits += chunk
-        if len(bits) > MOST_MASK:
-            raise reading.TooLarge(f"a mask of more than {MOST_MASK >> 20} MiB is not taken; reload the page")
-    return await run_in_threadpool(_painted, state, record, worn, painted, bytes(bits), request.method == "DELETE")
+        return Response(await run_in_threadpool(shown_mask, worn, painted), media_type="application/octet-stream")
+    refused = reading.TooLarge(f"a mask of more than {MOST_MASK >> 20} MiB is not taken; reload the page")
+    bits = await reading.data_of(request, MOST_MASK, refused)
+    return await run_in_threadpool(_painted, state, record, worn, painted, bits, request.method == "DELETE")
 
 
 def _painted(

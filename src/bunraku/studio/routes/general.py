@@ -217,9 +217,12 @@ class _TextForm:
 @reading.beside(_TextForm, alone=False)
 def understand(request: Request, form: _TextForm) -> Any:
     """What is understood of a sentence, with the positions of unknown words."""
+    from bunraku.language.parse import parse
     from bunraku.language.understood import understood
 
     words = understood(form.text)
+    with suppress(BunrakuError):
+        parse(form.text)  # what the network reads is remembered, so Enter need not wait for it
     return {
         "clips": [clip.name for clip in search(form.text)[:SUGGESTED]], "ok": words.ok, "language": words.language,
         "english": words.english,

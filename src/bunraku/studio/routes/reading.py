@@ -150,14 +150,20 @@ def ready_character(state: State, name: str) -> dict[str, Any]:
     return record
 
 
-async def body_of(request: Request, most: int = MOST_JSON) -> dict[str, Any]:
-    """The JSON object of a request; OptionError where it is none, or has more bytes than are taken."""
+async def data_of(request: Request, most: int, refused: Exception) -> bytes:
+    """The bytes of a request; `refused` where they are more than `most`."""
     data = bytearray()
     async for chunk in request.stream():
         data += chunk
         if len(data) > most:
-            raise OptionError(f"a request of more than {most >> 10:,} KiB is not taken")
-    body = read_json(bytes(data) or b"{}", "the request", MOST_JSON)
+            raise refused
+    return bytes(data)
+
+
+async def body_of(request: Request, most: int = MOST_JSON) -> dict[str, Any]:
+    """The JSON object of a request; OptionError where it is none, or has more bytes than are taken."""
+    refused = OptionError(f"a request of more than {most >> 10:,} KiB is not taken")
+    body = read_json(await data_of(request, most, refused) or b"{}", "the request", MOST_JSON)
     if not isinstance(body, dict):
         raise OptionError("the request is not a JSON object")
     return body
