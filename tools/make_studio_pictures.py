@@ -14,9 +14,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "tests" / "studio"))
 
-from browser import Page, chromium  # noqa: E402
+from browser import AIM, Page, chromium  # noqa: E402
 from studio_process import Studio  # noqa: E402
-from test_page_apparel import AIM  # noqa: E402
 
 OUT = ROOT / "docs" / "studio"
 MOST = 300_000

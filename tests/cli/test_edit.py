@@ -37,44 +37,36 @@ def folder(tmp_path_factory):
 @needs_weights
 def test_a_sequence_lasts_as_long_as_its_parts(folder):
     clip = load_clip(folder / "clip.glb")
-    assert len(clip.motion) == 60 and np.array_equal(
-        clip.motion.rotations, load_clip(folder / "clip.npz").motion.rotations
-    )
+    assert len(clip.motion) == 60
+    assert np.array_equal(clip.motion.rotations, load_clip(folder / "clip.npz").motion.rotations)
 
 
 @needs_weights
 def test_kept_handles_are_the_same_in_the_new_file(folder):
     before = load_clip(folder / "clip.glb")
-    assert (
-        main(["edit", str(folder / "clip.glb"), "jumps", "--keep", "legs", "-o", str(folder / "edit.glb"), *QUICK]) == 0
-    )
+    words = ["edit", str(folder / "clip.glb"), "jumps", "--keep", "legs", "-o", str(folder / "edit.glb")]
+    assert main([*words, *QUICK]) == 0
     after, legs = load_clip(folder / "edit.glb"), kept_handles("legs")
     for one, other in ((before.motion, after.motion), (before.reference, after.reference)):
-        assert np.array_equal(one.rotations[:, legs], other.rotations[:, legs]) and np.array_equal(
-            one.translations[:, legs], other.translations[:, legs]
-        )
-        assert np.array_equal(one.root_translation, other.root_translation) and not np.array_equal(
-            one.rotations, other.rotations
-        )
+        assert np.array_equal(one.rotations[:, legs], other.rotations[:, legs])
+        assert np.array_equal(one.translations[:, legs], other.translations[:, legs])
+        assert np.array_equal(one.root_translation, other.root_translation)
+        assert not np.array_equal(one.rotations, other.rotations)
 
 
 @needs_weights
 @pytest.mark.parametrize("character", [False, True])
 def test_a_span_of_an_npz(folder, character, capsys):
     out = folder / f"span-{character}.npz"
-    with_character = ["--character", str(folder / "person.glb")] if character else []
-    assert (
-        main(["edit", str(folder / "clip.npz"), "jumps", "--span", "0.5:2", "-o", str(out), *with_character, *QUICK])
-        == 0
-    )
+    words = ["edit", str(folder / "clip.npz"), "jumps", "--span", "0.5:2", "-o", str(out), *QUICK]
+    assert main([*words, *(["--character", str(folder / "person.glb")] if character else [])]) == 0
     assert ("--character" in capsys.readouterr().err) == (not character)
     before, after = load_clip(folder / "clip.npz"), load_clip(out)
     outside = np.r_[0:10, 40:60]
     assert np.array_equal(after.reference.rotations[outside], before.reference.rotations[outside])
     ours = before.motion if character else before.reference
-    assert np.array_equal(after.motion.rotations[outside], ours.rotations[outside]) and not np.array_equal(
-        after.motion.rotations, ours.rotations
-    )
+    assert np.array_equal(after.motion.rotations[outside], ours.rotations[outside])
+    assert not np.array_equal(after.motion.rotations, ours.rotations)
 
 
 @needs_weights

@@ -92,11 +92,8 @@ def test_inspect_says_how_a_mesh_seems_to_stand_and_its_unit(stls, capsys):
     assert (standing["orientation"]["up"], standing["orientation"]["front"]) == ("+y", "+z")
     assert standing["unit"] == {"name": "metres", "note": ""}
     found = lying["orientation"]
-    assert (
-        (found["up"], found["front"]) == ("+z", "-y")
-        and 0 < found["up_confidence"] <= 1
-        and 0 < found["front_confidence"] <= 1
-    )
+    assert (found["up"], found["front"]) == ("+z", "-y")
+    assert 0 < found["up_confidence"] <= 1 and 0 < found["front_confidence"] <= 1
     assert lying["unit"]["name"] == "millimetres" and "taken as 1.65 m" in lying["unit"]["note"]
     assert main(["inspect", str(stls[1]), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["orientation"] == found

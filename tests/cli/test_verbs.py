@@ -49,7 +49,7 @@ def test_inspect_counts_what_the_file_holds(good):
     assert facts["rig"] is None and facts["animations"] == [] and facts["orientation"]["taken_up"] == "+y"
 
 
-def test_inspect_of_rig_and_clip(moving, capsys):
+def test_inspect_of_rig_clip_and_motion(moving, capsys):
     assert main(["inspect", str(moving), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["rig"]["joints"] == 2 and facts["rig"]["influences"] == 2
@@ -57,9 +57,6 @@ def test_inspect_of_rig_and_clip(moving, capsys):
     assert main(["inspect", str(moving)]) == 0
     said = capsys.readouterr().out
     assert "0.5 s" in said and "2 joints" in said
-
-
-def test_inspect_of_motion(moving):
     facts = describe(moving.with_suffix(".npz"))
     assert (facts["kind"], facts["frames"], facts["fps"], facts["handles"]) == ("handle motion", 11, 20, 2)
     assert facts["seconds"] == pytest.approx(0.55)
@@ -115,18 +112,15 @@ def test_doctor_reports_in_words_and_in_json(capsys):
     assert "torch" in capsys.readouterr().out
 
 
-def test_doctor_tells_what_missing_weights_cost(monkeypatch, tmp_path, capsys):
-    monkeypatch.setenv("BUNRAKU_WEIGHTS", str(tmp_path))
+def test_missing_weights_are_one_sentence_and_the_doctor_tells_what_they_cost(
+    monkeypatch, tmp_path, capsys, fails, good
+):
+    monkeypatch.setenv("BUNRAKU_WEIGHTS", str(tmp_path / "none"))
+    (tmp_path / "none").mkdir()
+    assert "weights" in fails("animate", good, "walks", "-o", tmp_path / "out.glb")
     assert main(["doctor", "--json"]) == 1
     topics = {finding["topic"]: finding for finding in json.loads(capsys.readouterr().out)}
     assert topics["diffusion weights"]["state"] == "missing" and "animate" in topics["diffusion weights"]["cost"]
-
-
-def test_missing_weights_are_one_sentence(monkeypatch, tmp_path, fails, good):
-    folder = tmp_path / "none"
-    folder.mkdir()
-    monkeypatch.setenv("BUNRAKU_WEIGHTS", str(folder))
-    assert "weights" in fails("animate", good, "walks", "-o", tmp_path / "out.glb")
 
 
 def need_weights() -> None:
@@ -224,13 +218,11 @@ def test_a_sample_becomes_the_file_that_is_named(tmp_path, fails, capsys):
 
 
 def test_limits_and_defaults_agree_with_the_library():
-    sequence, generate = (
-        importlib.import_module("bunraku.language.prompts"),
-        importlib.import_module("bunraku.generation.candidates"),
-    )
+    names = "language.prompts", "generation.candidates", "generation.denoiser"
+    sequence, generate, denoiser = (importlib.import_module(f"bunraku.{name}") for name in names)
     assert (WHOLE.low, WHOLE.high) == (sequence.SHORTEST, sequence.LONGEST)
     text = (ROOT / "docs" / "cli.md").read_text()
-    few = importlib.import_module("bunraku.generation.denoiser").load_few_steps(shipped_checkpoint("few-steps"))
+    few = denoiser.load_few_steps(shipped_checkpoint("few-steps"))
     assert f"; {len(few.visited)} by default" in text and f"{generate.STEPS} with `--guidance`" in text
     assert few.guidance == generate.GUIDANCE and f"{generate.GUIDANCE} by default" in text
 

@@ -45,7 +45,9 @@ STRANGE = (
     -1, 0, 1, 255, 65536, 2**31, 2**40, 10**30, -0.5, 1e308, True, None, "", "x", "../secret.bin", "/etc/hostname",
     "file:///etc/hostname", "C:\\secret.bin", [], {}, [[]], [0] * 50, {"count": 5},
 )  # fmt: skip
-INSIDES = (str(Path(sys.prefix).resolve()), str(Path(sys.base_prefix).resolve()), str(HERE.parents[1]))
+INSIDES = tuple(
+    str(Path(at).resolve()) for at in (sys.prefix, sys.base_prefix, HERE.parents[1], sys.pycache_prefix or HERE)
+)
 
 _opened: list[str] = []
 _watching = False

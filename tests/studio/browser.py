@@ -61,6 +61,15 @@ def chromium():
             browser.close()
 
 
+AIM = """([x, y, z]) => {
+    const view = studio.view();
+    const spot = view.camera.position.clone().set(x, y, z).project(view.camera);
+    const box = view.canvas.getBoundingClientRect();
+    return [box.left + (spot.x + 1) / 2 * box.width, box.top + (1 - spot.y) / 2 * box.height];
+}"""
+"""Where on the page a place of the scene is seen."""
+
+
 class Page:
     """A page of a studio, and what went wrong in it."""
 
@@ -123,6 +132,12 @@ class Page:
         self.value(f"studio.fresh({json.dumps({'steps': 2, **doc})})")
         self.ready()
 
+    def opened(self, name):
+        """Wait until a character of a name is shown with a take that is done: it is animated by itself."""
+        self.until(f"studio.character.value?.name === '{name}' && studio.character.value.state === 'ready'")
+        self.until("studio.take.value && studio.take.value.state === 'done'")
+        self.shown()
+
     def set(self, seconds):
         """Go to a time and draw."""
         self.value(f"studio.set({seconds})")
@@ -179,8 +194,7 @@ def page_of(folder, sample, *size, **how):
     studio = Studio(folder / "folder")
     try:
         one = studio.sample(sample)["id"]
-        made = studio.animate(one, "walks", 1)
-        studio.done(made["job"])
+        made = studio.wait(studio.animate(one, "walks", 1))
         with chromium() as browser, Page(browser, studio, *size, **how) as page:
             page.until("window.studio && studio.view() && studio.online.value")
             page.value(f"studio.change('', {{ character: '{one}', take: '{made['takes'][0]}' }})")

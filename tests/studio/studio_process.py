@@ -93,9 +93,13 @@ class Studio:
         assert found["state"] == "done", found
         return found
 
-    def sample(self, name="mushroom"):
-        made = self.post(f"/api/characters?sample={name}", {})
+    def wait(self, made):
+        """What was asked for, when its job is done."""
         self.done(made["job"])
+        return made
+
+    def sample(self, name="mushroom"):
+        made = self.wait(self.post(f"/api/characters?sample={name}", {}))
         path = f"/api/characters/{made['character']['id']}"
         return self.until(lambda: (found := self.get(path)) and "ends" in found and found, "all of a character")
 

@@ -218,7 +218,9 @@ def test_the_worker_makes_and_dresses_and_writes(file, tmp_path):
     asked = Request("walks:1", Sampling(1.0, steps=2, candidates=1), apparel=Apparel("learn", 0.2))
     params = {"character": "one", "takes": ["a"], "seeds": [0], "request": asked.to_json()}
     run_task(workspace, "open", {"character": "one", "file": record["file"], "settings": settings}, quiet, told.append)
+    dropped = (position / record["file"]).rename(tmp_path / "away.glb")  # what was opened is not read again
     run_task(workspace, "animate", params, quiet, told.append)
+    dropped.rename(position / record["file"])
     draft, done = told
     assert (draft["clip"], draft["fps"], draft["stiffness"]) == ("draft.bin", 20.0, None)
     assert (done["fps"], done["frames"], done["skin"]) == (30.0, 29, "handles") and done["stiffness"] == 0.2

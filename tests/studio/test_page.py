@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from browser import CHROMIUM, ROOT, SECONDS, VITE, Page, chromium
+from browser import AIM, CHROMIUM, ROOT, SECONDS, VITE, Page, chromium
 from scipy.spatial import cKDTree
 from studio_process import Studio
 
@@ -62,6 +62,7 @@ def page(shared):
     """The page as it was at first, a sentence of a second in it, which is quickly made."""
     shared.reset(script=[{"text": "walks", "seconds": 1}])
     yield shared
+    shared.page.set_viewport_size({"width": 1280, "height": 800})
     shared.check()
 
 
@@ -141,12 +142,16 @@ def test_the_export_dialog_closes_and_gives_the_focus_back(page):
         page.until("!document.querySelector('dialog.export') && document.activeElement.id === 'export'")
 
 
-def test_what_is_shipped_holds_nothing_of_tests(browser, studio):
+def test_what_is_shipped_asks_for_the_token_and_holds_nothing_of_tests(browser, studio):
     context = browser.new_context()
     try:
         page = context.new_page()
         page.set_default_timeout(SECONDS * 1000)
+        page.goto(f"{studio.base}/")
+        page.wait_for_selector(".lock")
+        assert "bunraku studio" in page.inner_text(".lock")
         page.goto(studio.address)
+        page.reload()  # another hash alone is the same page
         page.wait_for_selector(".takes li.chosen")
         assert page.evaluate("typeof window.studio") == "undefined"
     finally:
@@ -339,13 +344,10 @@ def sheets(page):
 def test_nothing_is_small_and_axe_finds_nothing(page, width):
     axe = (ROOT / "studio" / "node_modules" / "axe-core" / "axe.min.js").read_text(encoding="utf-8")
     page.page.set_viewport_size({"width": width, "height": 800})
-    try:
-        for name in states(page) if width > 720 else sheets(page):
-            assert page.value(SMALL) == [], name
-            page.value(axe)
-            assert page.value(AXE) == [], name
-    finally:
-        page.page.set_viewport_size({"width": 1280, "height": 800})
+    for name in states(page) if width > 720 else sheets(page):
+        assert page.value(SMALL) == [], name
+        page.value(axe)
+        assert page.value(AXE) == [], name
 
 
 SCROLLED = """async (selector) => {
@@ -371,27 +373,18 @@ def test_nothing_that_stands_still_lies_on_what_is_scrolled(page):
     assert page.page.evaluate(SCROLLED, "#side .panel") == [155, []]
 
 
-def test_the_sentence_comes_right_after_the_header_for_who_tabs(page):
-    page.page.focus("[aria-label=keys]")
-    page.page.keyboard.press("Tab")
-    assert page.value("document.activeElement.id") == "sentence"
-
-
 def test_a_phone_shows_what_opens_and_what_animates_at_once(page):
     page.page.set_viewport_size({"width": 390, "height": 800})
-    try:
-        page.until("innerWidth === 390")
-        for name in ("#open", "#sentence", "#animate", ".stage canvas", "#sheet-takes"):
-            box = page.page.locator(name).bounding_box()
-            assert box["y"] >= 0 and box["y"] + box["height"] <= 800, name
-        assert page.value("document.documentElement.scrollHeight") <= 800  # one screen
-        on_top = "document.elementFromPoint(195, 300).closest('.stage, aside')?.className"
-        assert page.value(on_top) == "stage"  # no sheet lies on it
-        for name, there in (("characters", "left"), ("takes", "right"), ("takes", "stage")):
-            page.page.click(f"#sheet-{name}")
-            page.until(f"{on_top} === '{there}'")
-    finally:
-        page.page.set_viewport_size({"width": 1280, "height": 800})
+    page.until("innerWidth === 390")
+    for name in ("#open", "#sentence", "#animate", ".stage canvas", "#sheet-takes"):
+        box = page.page.locator(name).bounding_box()
+        assert box["y"] >= 0 and box["y"] + box["height"] <= 800, name
+    assert page.value("document.documentElement.scrollHeight") <= 800  # one screen
+    on_top = "document.elementFromPoint(195, 300).closest('.stage, aside')?.className"
+    assert page.value(on_top) == "stage"  # no sheet lies on it
+    for name, there in (("characters", "left"), ("takes", "right"), ("takes", "stage")):
+        page.page.click(f"#sheet-{name}")
+        page.until(f"{on_top} === '{there}'")
 
 
 def test_twelve_tabs_of_one_browser_are_served_and_each_has_its_view(shared):
@@ -445,9 +438,7 @@ def test_characters_are_dropped(page, tmp_path, kind):
             pytest.skip(f"there is no {source}; BUNRAKU_DATA names the data")
         path.write_bytes(source.read_bytes())
     page.drop(path)
-    page.until("studio.character.value?.name === 'dropped' && studio.character.value.state === 'ready'")
-    page.until("studio.take.value && studio.take.value.state === 'done'")  # it is animated by itself
-    page.shown()
+    page.opened("dropped")
     page.set(0.5)
     record = page.value("studio.character.value")
     assert 0.5 < record["height"] < 3
@@ -586,9 +577,7 @@ def test_scrubbing_puts_the_mesh_where_the_library_has_it(page):
 
 def test_learned_apparel_has_a_dial_and_is_where_the_library_has_it(page):
     page.page.click("#sample-dancer")  # the dragon wears nothing
-    page.until("studio.character.value?.name === 'dancer' && studio.character.value.state === 'ready'")
-    page.until("studio.take.value && studio.take.value.state === 'done'")
-    page.shown()
+    page.opened("dancer")
     page.page.click("#body > summary")
     page.page.select_option("#apparel", "learn")
     page.page.click("#dress")
@@ -619,9 +608,7 @@ def test_learned_apparel_has_a_dial_and_is_where_the_library_has_it(page):
 def test_the_pages_silhouette_is_the_renderers(page, sample):
     if page.value("studio.character.value.name") != sample:
         page.page.click(f"#sample-{sample}")
-        page.until(f"studio.character.value?.name === '{sample}' && studio.character.value.state === 'ready'")
-        page.until("studio.take.value && studio.take.value.state === 'done'")
-        page.shown()
+        page.opened(sample)
     take, owner = page.value("[studio.take.value.id, studio.character.value.id]")
     animation = take_of(page.studio, owner, take)
     vertices = animation.vertices([10])
@@ -656,15 +643,8 @@ def test_a_pin_is_dragged_and_a_span_is_made_anew(page):
     page.set(1.0)
     page.until("studio.view().directing")
     page.value("studio.view().draw(true)")
-    start = page.value(
-        """(() => {
-            const view = studio.view();
-            const gizmo = view.scene.children.find((one) => one.userData.part === 'left_hand' && one.visible);
-            const spot = gizmo.position.clone().project(view.camera);
-            const box = view.canvas.getBoundingClientRect();
-            return [box.left + (spot.x + 1) / 2 * box.width, box.top + (1 - spot.y) / 2 * box.height];
-        })()"""
-    )
+    hand = "studio.view().scene.children.find((one) => one.userData.part === 'left_hand' && one.visible)"
+    start = page.page.evaluate(AIM, page.value(f"{hand}.position.toArray()"))
     page.page.mouse.move(*start)
     page.page.mouse.down()
     page.page.mouse.move(start[0] + 15, start[1] - 20)
@@ -868,6 +848,9 @@ def test_a_link_replays_a_take(browser, studio, page):
 
 
 def test_the_keyboard_is_enough_and_everything_has_a_name(page):
+    page.page.focus("[aria-label=keys]")
+    page.page.keyboard.press("Tab")
+    assert page.value("document.activeElement.id") == "sentence"  # it comes right after the header
     page.page.keyboard.press("Escape")
     page.page.keyboard.press("/")
     assert page.value("document.activeElement.id") == "sentence"
@@ -919,23 +902,16 @@ def test_samples_are_in_sight_beside_many_characters(page):
 @pytest.mark.parametrize("width", [1280, 800, 420])
 def test_nothing_is_cut_off_in_a_narrow_window(page, width):
     page.page.set_viewport_size({"width": width, "height": 800})
-    try:
-        page.until(f"innerWidth === {width} && studio.view().canvas.getBoundingClientRect().width <= {width}")
-        assert page.value("document.documentElement.scrollWidth") <= width
-        assert page.page.locator("#animate").bounding_box()["x"] >= 0
-        box = page.page.locator(".stage canvas").bounding_box()
-        assert box["width"] > 150 and box["height"] > 150
-    finally:
-        page.page.set_viewport_size({"width": 1280, "height": 800})
-
-
-def test_without_the_token_the_page_asks_for_it(browser, studio):
-    context = browser.new_context()
-    try:
-        page = context.new_page()
-        page.set_default_timeout(SECONDS * 1000)
-        page.goto(f"{studio.base}/")
-        page.wait_for_selector(".lock")
-        assert "bunraku studio" in page.inner_text(".lock")
-    finally:
-        context.close()
+    page.until(f"innerWidth === {width} && studio.view().canvas.getBoundingClientRect().width <= {width}")
+    assert page.value("document.documentElement.scrollWidth") <= width
+    assert page.page.locator("#animate").bounding_box()["x"] >= 0
+    box = page.page.locator(".stage canvas").bounding_box()
+    assert box["width"] > 150 and box["height"] > 150
+    if width > 720:  # the panel at the left covers none of the character
+        page.value("studio.view().draw(true)")
+        spots = page.value(
+            "studio.view().panes[0].model.bones.map((one) => one.getWorldPosition(one.position.clone()))"
+        )
+        seen = [page.page.evaluate(AIM, [spot["x"], spot["y"], spot["z"]])[0] for spot in spots]
+        side = page.page.locator("aside.left").bounding_box()
+        assert side["x"] + side["width"] < min(seen) and max(seen) < width

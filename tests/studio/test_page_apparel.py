@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from browser import CHROMIUM, VITE, Page, chromium
+from browser import AIM, CHROMIUM, VITE, Page, chromium
 from studio_process import Studio
 
 pytest.importorskip("playwright", reason="the page is tested with playwright: make browser")
@@ -29,13 +29,6 @@ SEEN = """(kind) => {
     return [colour.getX(row), colour.getY(row), colour.getZ(row)].map((value) => Number(value.toFixed(3)));
 }"""
 """The colour in which a part of a kind is drawn."""
-AIM = """([x, y, z]) => {
-    const view = studio.view();
-    const spot = view.camera.position.clone().set(x, y, z).project(view.camera);
-    const box = view.canvas.getBoundingClientRect();
-    return [box.left + (spot.x + 1) / 2 * box.width, box.top + (1 - spot.y) / 2 * box.height];
-}"""
-"""Where on the page a place of the scene is seen."""
 
 
 @pytest.fixture(scope="module")
@@ -44,8 +37,7 @@ def dancer(tmp_path_factory):
     studio = Studio(tmp_path_factory.mktemp("apparel") / "folder")
     try:
         one = studio.sample("dancer")["id"]
-        made = studio.animate(one, "walks", 1)
-        studio.done(made["job"])
+        made = studio.wait(studio.animate(one, "walks", 1))
         studio.until(lambda: "laid" in studio.get(f"/api/characters/{one}"), "a look for chains")
         with chromium() as browser, Page(browser, studio) as page:
             page.until("window.studio && studio.view() && studio.online.value")

@@ -3,14 +3,13 @@
 import time
 
 import pytest
-from browser import CHROMIUM, ROOT, VITE, page_of
+from browser import AIM, CHROMIUM, ROOT, VITE, page_of
 
 pytest.importorskip("playwright", reason="the page is tested with playwright: make browser")
 if CHROMIUM is None or not VITE.exists():
     pytest.skip("there is no Chromium, or the page's tools are not installed", allow_module_level=True)
 
 from test_page import AXE, SMALL
-from test_page_apparel import AIM
 
 SAID = "studio.character.value.body.said"
 READY = "studio.character.value.state === 'ready'"

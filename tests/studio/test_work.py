@@ -38,8 +38,7 @@ def character(studio):
 
 @pytest.fixture(scope="module")
 def take(studio, character):
-    made = studio.animate(character["id"], "waves", seconds=2, seeds=[7], steps=6, candidates=2)
-    studio.done(made["job"])
+    made = studio.wait(studio.animate(character["id"], "waves", seconds=2, seeds=[7], steps=6, candidates=2))
     return studio.get(f"/api/takes/{made['takes'][0]}")
 
 
@@ -58,8 +57,7 @@ def test_a_take_is_what_the_library_makes(studio, character, take):
 
 def test_bodies_move_in_their_own_way_as_in_the_library(studio):
     dragon = studio.sample("dragon")
-    made = studio.animate(dragon["id"], "flies", seconds=2, seeds=[7], steps=6, candidates=2)
-    studio.done(made["job"])
+    made = studio.wait(studio.animate(dragon["id"], "flies", seconds=2, seeds=[7], steps=6, candidates=2))
     take = studio.get(f"/api/takes/{made['takes'][0]}")
     assert np.abs(off_the_library(studio, dragon, take, "flies")).max() < 1e-4
 
@@ -97,8 +95,7 @@ def test_the_mesh_and_the_tracks_make_the_animation(studio, character, take):
     mesh = read_gltf(path / "mesh.glb", (path / "mesh.glb").read_bytes())
     _, data = studio.ask("GET", f"/api/takes/{take['id']}/clip")
     _, translations, rotations = unpacked_clip(data)
-    made = studio.post(f"/api/takes/{take['id']}/exports", {"format": "glb", "fps": 20})
-    studio.done(made["job"])
+    made = studio.wait(studio.post(f"/api/takes/{take['id']}/exports", {"format": "glb", "fps": 20}))
     file = studio.folder / "exports" / made["export"] / "take.glb"
     animation = load_clip_animation(file)
     vertices = posed(mesh.rig.positions, mesh.rig.dense_weights(), mesh.vertices, translations, rotations)
@@ -108,8 +105,7 @@ def test_the_mesh_and_the_tracks_make_the_animation(studio, character, take):
 
 @pytest.mark.parametrize("format", ["bvh", "vrma", "npz", "glb"])
 def test_downloads(studio, take, format):
-    made = studio.post(f"/api/takes/{take['id']}/exports", {"format": format})
-    studio.done(made["job"])
+    made = studio.wait(studio.post(f"/api/takes/{take['id']}/exports", {"format": format}))
     status, data = studio.ask("GET", f"/api/exports/{made['export']}")
     assert status == 200
     content = str(data).encode() if isinstance(data, dict) else data
@@ -118,8 +114,7 @@ def test_downloads(studio, take, format):
 
 
 def test_takes_become_the_clips_of_one_file(studio, character, take):
-    second = studio.animate(character["id"], "jumps", seconds=2, seeds=[3], steps=4, candidates=1)
-    studio.done(second["job"])
+    second = studio.wait(studio.animate(character["id"], "jumps", seconds=2, seeds=[3], steps=4, candidates=1))
     asked = {"takes": [take["id"], second["takes"][0]], "fps": 20}
     made = studio.post(f"/api/characters/{character['id']}/exports", asked)
     assert made["clips"] == ["waves", "jumps"] and made["title"] == "mushroom-clips.glb"
@@ -146,11 +141,9 @@ def test_takes_become_the_clips_of_one_file(studio, character, take):
 
 def test_a_program_gets_a_person_with_the_names_that_it_knows(studio):
     person = studio.sample("person")
-    made = studio.animate(person["id"], "waves", seconds=1, seeds=[1], steps=4, candidates=1)
-    studio.done(made["job"])
+    made = studio.wait(studio.animate(person["id"], "waves", seconds=1, seeds=[1], steps=4, candidates=1))
     asked = {"takes": made["takes"], "preset": "godot", "fps": 0}
-    done = studio.post(f"/api/characters/{person['id']}/exports", asked)
-    studio.done(done["job"])
+    done = studio.wait(studio.post(f"/api/characters/{person['id']}/exports", asked))
     names = bunraku.load_character(studio.folder / "exports" / done["export"] / "clips.glb").rig.names
     assert {"hips", "spine", "leftUpperArm", "rightLowerLeg", "head"} <= set(names)
 
@@ -175,8 +168,7 @@ def test_a_project_goes_out_and_comes_back(studio, character, take):
     assert again["view"] == {"seed": 5} and again["character"] != character["id"]
     name = again["takes"][take["id"]]
     assert studio.ask("GET", f"/api/takes/{name}/clip") == studio.ask("GET", f"/api/takes/{take['id']}/clip")
-    made = studio.animate(again["character"], "jumps")
-    studio.done(made["job"])
+    studio.wait(studio.animate(again["character"], "jumps"))
     for broken in (b"PK\x03\x04", data[: len(data) // 2], b""):
         status, said = studio.ask("POST", "/api/project-files?name=x.bunraku", data=broken)
         assert status == 400 and said["kind"] == "FormatError"
@@ -186,8 +178,7 @@ def test_parts_of_a_take_are_made_anew(studio, character, take):
     _, before = studio.ask("GET", f"/api/takes/{take['id']}/clip")
     _, old, old_turns = unpacked_clip(before)
     body = {"prompt": "jumps", "poses": [{"time": 0.5}, {"time": 1.5}], "seeds": [1], "steps": 4}
-    made = studio.post(f"/api/takes/{take['id']}/change", body)
-    studio.done(made["job"])
+    made = studio.wait(studio.post(f"/api/takes/{take['id']}/change", body))
     _, new, new_turns = unpacked_clip(studio.ask("GET", f"/api/takes/{made['takes'][0]}/clip")[1])
     for frame in (10, 30):
         np.testing.assert_array_equal(new[frame], old[frame])
@@ -197,13 +188,11 @@ def test_parts_of_a_take_are_made_anew(studio, character, take):
 
 def test_a_hand_is_pinned(studio):
     person = studio.sample("person")
-    made = studio.animate(person["id"], "stands")
-    studio.done(made["job"])
+    made = studio.wait(studio.animate(person["id"], "stands"))
     end = next(one for one in person["ends"] if one["part"] == "left_hand")
     goal = np.array([0.3, 1.5, 0.3])
     pins = [{"part": "left_hand", "time": 1.0, "position": goal.tolist()}]
-    bent = studio.post(f"/api/takes/{made['takes'][0]}/change", {"pins": pins})
-    studio.done(bent["job"])
+    bent = studio.wait(studio.post(f"/api/takes/{made['takes'][0]}/change", {"pins": pins}))
     _, translations, rotations = unpacked_clip(studio.ask("GET", f"/api/takes/{bent['takes'][0]}/clip")[1])
     handle = end["handle"]
     positions = np.array(person["positions"])
@@ -216,11 +205,9 @@ def test_a_hand_is_pinned(studio):
 
 
 def test_a_motion_is_carried_over(studio, character, take, tmp_path):
-    made = studio.post(f"/api/takes/{take['id']}/exports", {"format": "bvh"})
-    studio.done(made["job"])
+    made = studio.wait(studio.post(f"/api/takes/{take['id']}/exports", {"format": "bvh"}))
     data = (studio.folder / "exports" / made["export"] / "take.bvh").read_bytes()
-    moved = studio.post(f"/api/characters/{character['id']}/transfer?name=walk.bvh", data=data)
-    studio.done(moved["job"])
+    moved = studio.wait(studio.post(f"/api/characters/{character['id']}/transfer?name=walk.bvh", data=data))
     assert studio.get(f"/api/takes/{moved['takes'][0]}")["state"] == "done"
     broken = studio.post(f"/api/characters/{character['id']}/transfer?name=walk.bvh", data=data[:200])
     ended = studio.ended(broken["job"])
@@ -282,8 +269,7 @@ def test_a_worker_that_is_killed_comes_back(studio, character, take):
 
 def test_changes_tell_what_happens_and_what_was_missed(studio, character):
     before = studio.get("/api/changes")["event"]
-    made = studio.animate(character["id"], "waves")
-    studio.done(made["job"])
+    made = studio.wait(studio.animate(character["id"], "waves"))
     found = studio.get(f"/api/changes?after={before}")
     seen = {(what, record.get("id")): record for what, record in found["changes"]}
     assert found["event"] > before and not found["missed"]
@@ -294,8 +280,7 @@ def test_changes_tell_what_happens_and_what_was_missed(studio, character):
 def test_a_restart_finds_all_and_offers_what_was_interrupted(own_studio, tmp_path):
     first = own_studio()
     one = first.sample("mushroom")
-    made = first.animate(one["id"], "waves")
-    first.done(made["job"])
+    made = first.wait(first.animate(one["id"], "waves"))
     late = first.animate(one["id"], "walks", seconds=12, steps=200)
     clip = first.ask("GET", f"/api/takes/{made['takes'][0]}/clip")[1]
     first.until(lambda: first.get(f"/api/jobs/{late['job']}")["stage"] in ("draft", "generate"), "generating")
@@ -326,8 +311,7 @@ def test_a_disk_that_fills_is_said_nothing_is_lost_and_the_next_take_is_made(own
     assert not list((full.folder / "characters").rglob("big*"))
     assert full.get("/api/jobs") == {"jobs": []}
     box = trimesh.creation.icosphere(2, 0.8).export(file_type="stl")
-    made = full.post("/api/characters?name=ball.stl", data=box)
-    full.done(made["job"])
+    made = full.wait(full.post("/api/characters?name=ball.stl", data=box))
     owner = made["character"]["id"]
     long = full.animate(owner, "walks", seconds=60, steps=1, draft=False)
     ended = full.ended(long["job"])
@@ -335,8 +319,7 @@ def test_a_disk_that_fills_is_said_nothing_is_lost_and_the_next_take_is_made(own
     assert full.get(f"/api/takes/{long['takes'][0]}")["state"] == "failed"
     folder = full.folder / "takes" / long["takes"][0]
     assert sorted(path.name for path in folder.iterdir()) == ["record.json"]  # nothing half-written
-    short = full.animate(owner, "walks", seconds=1, steps=1, draft=False)
-    full.done(short["job"])
+    short = full.wait(full.animate(owner, "walks", seconds=1, steps=1, draft=False))
     assert full.get(f"/api/takes/{short['takes'][0]}")["state"] == "done"
 
 
@@ -394,8 +377,7 @@ def test_motions_of_other_kinds_are_dropped(studio, character, tmp_path, kind):
         np.savez(tmp_path / "walk.npz", trans=np.tile([0.0, 0, 0.95], (60, 1)), poses=poses, betas=np.zeros(16),
                  gender=np.array("female"), mocap_framerate=np.array(60.0))  # fmt: skip
         data, name = (tmp_path / "walk.npz").read_bytes(), "walk.npz"
-    made = studio.post(f"/api/characters/{character['id']}/transfer?name={name}", data=data)
-    studio.done(made["job"])
+    made = studio.wait(studio.post(f"/api/characters/{character['id']}/transfer?name={name}", data=data))
     take = studio.get(f"/api/takes/{made['takes'][0]}")
     assert take["state"] == "done" and take["skin"] == "handles"
     assert take["seconds"] == pytest.approx({"fbx": 0.5, "amass": 1.0}[kind], abs=0.07)
