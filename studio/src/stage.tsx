@@ -147,7 +147,10 @@ async function refresh(): Promise<void> {
       const moving = panes[0]?.clip;
       if (owner.picture !== owner.version && pictured !== frame && moving && !alive && !correcting.value) {
         pictured = frame;
-        void quiet().then(() => photograph(owner, skins[0] === "bones" ? null : moving)).catch(() => undefined); // it is no loss
+        const there = (): boolean => characters.value.some(({ id, version, state }) => `${id}:${version}:${state}` === `${frame}:ready`);
+        void quiet()
+          .then(() => (there() ? photograph(owner, skins[0] === "bones" ? null : moving) : undefined))
+          .catch(() => undefined); // it is no loss
       }
       paint();
     } catch (error) {

@@ -415,6 +415,7 @@ def test_a_take_is_mirrored_and_cut(studio):
 
 def test_a_character_has_a_picture_when_the_page_drew_one(client, ready):
     webp = b"RIFF\x00\x00\x00\x00WEBPVP8 "
+    client.app.state.studio.note("characters", ready, state="opening")  # turned a moment after it was drawn
     assert client.put(f"/api/characters/{ready}/picture", content=webp).json()["picture"] == 1
     answer = client.get(f"/api/characters/{ready}/picture")
     assert answer.content == webp and answer.headers["content-type"] == "image/webp"

@@ -146,7 +146,7 @@ async def picture(request: Request) -> Any:
         path = state.store.file("characters", name, PICTURE)
         kind = "image/png" if path.read_bytes()[:4] == PNG else "image/webp"
         return FileResponse(path, media_type=kind)
-    record = reading.ready_character(state, name)
+    record = state.store.get("characters", name)  # it may be opening again: then another picture follows
     refused = reading.TooLarge(f"a picture of more than {MOST_PICTURE >> 10} KiB is not taken; draw a smaller one")
     data = await reading.data_of(request, MOST_PICTURE, refused)
     if data[:4] != PNG and (data[:4] != b"RIFF" or data[8:12] != b"WEBP"):
