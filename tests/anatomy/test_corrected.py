@@ -50,6 +50,8 @@ def test_a_joint_that_is_moved_takes_the_skin_along_and_nothing_else(person, han
     assert shin < was - 0.06
     moved = np.abs(after.weights - handles.weights).sum(axis=1) > 0.05
     assert (np.abs(person.vertices[moved] - before) < 0.3).all()
+    again = corrected_handles(character, bunraku.rig(replace(character, corrections=None))).top(4)  # as the studio does
+    assert np.array_equal(bunraku.rig(character).weights, again.weights)
 
 
 def test_pieces_are_what_they_are_said_to_be(person, handles, tmp_path):

@@ -7,19 +7,23 @@ import sys
 
 import numpy as np
 import pytest
+import trimesh
 
 import bunraku
+from bunraku.anatomy.anatomy import Anatomy
+from bunraku.anatomy.scene import separated
 from bunraku.apparel.chains.moving import with_apparel
 from bunraku.apparel.physics.rig import apparel_rig
 from bunraku.cli.app import main
 from bunraku.core.animation import RigAnimation
+from bunraku.core.character import Character
 from bunraku.core.nn.checkpoints import shipped_checkpoint
 from bunraku.core.travel import GroundPath
 from bunraku.errors import CharacterError, OptionError
 from bunraku.files.mmd.write import pmx_bytes, pmx_file
 from bunraku.pipelines.animate import animate, generate, rig
 from bunraku.pipelines.animator import Animator
-from bunraku.pipelines.apply import apply_rigged
+from bunraku.pipelines.apply import apply_motion, apply_rigged
 from bunraku.pipelines.requests import Constraints, Request, Sampling
 from bunraku.retarget.rig_parts import RigParts
 from bunraku.retarget.to_rig import fit_rig
@@ -56,6 +60,15 @@ def test_a_walk_moves_forward_on_the_ground(person, walk):
     assert np.linalg.norm(path[-1, [0, 2]] - path[0, [0, 2]]) > 0.3
     assert path[-1, 2] - path[0, 2] > 0.2  # forward is +Z
     assert np.abs(vertices[..., 1].min(axis=1)).max() < 0.05 * person.height
+
+
+def test_a_statue_does_not_walk_off_its_plinth_into_the_air(person, walk):
+    low, high = person.vertices.min(axis=0), person.vertices.max(axis=0)
+    block = trimesh.creation.box(bounds=(low - [0, 0.8 * person.height, 0], [high[0], low[1], high[2]]))
+    faces = np.concatenate([person.faces, block.faces + len(person.vertices)])
+    statue, _ = separated(Character("statue", np.concatenate([person.vertices, block.vertices]), faces))
+    body = Anatomy.of(statue, rig(statue))
+    assert np.ptp(apply_motion(walk.reference, body).motion.root_translation[:, 2]) < 0.15 * person.height
 
 
 def test_the_same_seed_gives_the_same_animation(person, walk):
@@ -147,8 +160,6 @@ def test_impossible_prompts_are_one_sentence(person, prompt):
 
 @pytest.mark.parametrize(("shape", "count"), [("box", 24), ("plane", 121), ("ball", 162)])
 def test_shapes_that_are_no_characters_still_animate(shape, count):
-    import trimesh
-
     if shape == "box":
         mesh = trimesh.creation.box().subdivide()
     elif shape == "ball":

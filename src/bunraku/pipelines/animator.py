@@ -307,7 +307,7 @@ class Animator:
         else:
             from bunraku.apparel.parts import handles_of_body
 
-            best = corrected_handles(character, handles_of_body(character, self.predictor))
+            best = corrected_handles(character, handles_of_body(character, self.predictor).top(4))
         best = best.top(4)
         self.progress("handles", 1.0)
         return best

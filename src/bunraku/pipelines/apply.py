@@ -54,7 +54,7 @@ def apply_motion(
         fitted = follow(fitted, before.motion)
         if stages.feet:
             fitted = Feet().continued(fitted, before.motion, anatomy)
-    if constraints.in_place:
+    if constraints.in_place or (path is None and _leaves_base(fitted, anatomy)):
         fitted = in_place_motion(fitted, loop)
     if path is not None:
         low = float(anatomy.character.vertices[:, 1].min())
@@ -63,6 +63,23 @@ def apply_motion(
         fitted = meet_pins(fitted, anatomy, constraints.pins)
     progress("fit", 1.0)
     return Animation(anatomy.character, anatomy.handles, fitted, motion)
+
+
+STEP = 0.1
+"""A base higher than this, over the body's height, is no step down; chosen by eye on two statues on their plinths."""
+
+
+def _leaves_base(motion: HandleMotion, anatomy: Anatomy) -> bool:
+    """Whether a path leads off the base that a body stands on, so that it would go on in the air."""
+    beside, deep = anatomy.character.beside, STEP * anatomy.mesh.height
+    if beside is None:
+        return False
+    ground = anatomy.character.vertices[beside]
+    top = ground[np.abs(ground[:, 1] - anatomy.floor) < deep][:, [0, 2]]
+    if not len(top) or ground[:, 1].min() > anatomy.floor - deep:
+        return False
+    path = (motion.root_translation + anatomy.handles.positions[0])[:, [0, 2]]
+    return bool(((path < top.min(axis=0)) | (path > top.max(axis=0))).any())
 
 
 def apply_rigged(
