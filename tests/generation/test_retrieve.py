@@ -193,9 +193,9 @@ def test_where_a_gesture_made_by_code_is_nearest_only_what_is_about_as_near_is_o
     assert ("wave", False) in names(other, "someone is waving", near)
 
 
-def test_a_gesture_made_by_code_is_what_its_words_say_however_near(pack):
+def test_an_example_of_another_action_is_not_taken_however_near(pack):
     sits = replace(pack, examples=(replace(pack.examples[0], texts=("does sit-ups",)), pack.examples[1]))
-    assert names(sits, "a person sits down", AXES[0]) == [("wave", False)]  # its sentence means the same
+    assert names(sits, "a person sits down", AXES[0]) == []
     made = replace(sits, examples=(replace(sits.examples[0], name="gesture_sit-up_1"), pack.examples[1]))
     assert names(made, "a person sits down", AXES[0]) == []
     assert names(made, "someone does sit-ups", AXES[0]) == [("gesture_sit-up_1", False)]

@@ -390,10 +390,17 @@ class GuidanceExamples:
         return shown._replace(found=list(filter(agrees, shown.found))) if clause.parts else shown
 
     def parted(self, clause: Clause) -> tuple[Clause, ...]:
-        """A clause in the parts that are done in a row, where no example shows it whole and one shows a part."""
-        if clause.parts and not self.shows(clause) and any(map(self.shows, clause.parts)):
+        """A clause in the parts that are done in a row, where no example shows it whole and one shows a part, or where
+        each part has an example that does the very actions and the whole has none.
+        """
+        parted = any(map(self.shows, clause.parts)) and not self.shows(clause)
+        if clause.parts and (parted or (all(map(self._plain, clause.parts)) and not self._plain(clause))):
             return clause.parts
         return (clause,)
+
+    def _plain(self, clause: Clause) -> bool:
+        """Whether the nearest example does a clause's very actions."""
+        return any(found.close or self.pack.made[found.number] for found in self.retrieved(clause).found[:1])
 
     def unseen(self, clause: Clause) -> tuple[str, str]:
         """A word for a clause's only action that no caption and no example has, and that action; "" and "" for none."""
