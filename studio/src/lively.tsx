@@ -78,6 +78,26 @@ function Key({ name, which, sentence }: { name: string; which: "walk" | "run" | 
   );
 }
 
+/** What steers it where there are no keys; held as a key is. */
+function Pad() {
+  return (
+    <div class="pad" role="group" aria-label="steer it">
+      {["Left", "Up", "Down", "Right"].map((way) => (
+        <button
+          type="button"
+          class="second"
+          key={way}
+          onPointerDown={() => stream?.key(`Arrow${way}`, true)}
+          onPointerUp={() => stream?.key(`Arrow${way}`, false)}
+          onPointerLeave={() => stream?.key(`Arrow${way}`, false)}
+        >
+          {{ Left: "left", Up: "ahead", Down: "back", Right: "right" }[way]}
+        </button>
+      ))}
+    </div>
+  );
+}
+
 export function LiveBar() {
   const box = useRef<HTMLInputElement>(null);
   useEffect(() => {
@@ -127,6 +147,7 @@ export function LiveBar() {
         <b>Now: {living.value?.said}.</b>
         <span>Arrow keys steer it. It looks at the mouse; hold the button, and it reaches.</span>
       </p>
+      <Pad />
       <div class="how keys">
         <Key name="arrows" which="walk" sentence={now.walk} />
         <Key name="Shift" which="run" sentence={now.run} />
