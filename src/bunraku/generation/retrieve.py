@@ -213,7 +213,8 @@ def _retrieved(
             if lacks:
                 lacking.update(dict.fromkeys(lacks))
                 continue
-            other_hand = mirrored and not sided and not _ARMS.isdisjoint(said.cues)
+            # in a gait no arm leads
+            other_hand = mirrored and not (sided or gait) and not _ARMS.isdisjoint(said.cues)
             total = float(score[index]) - EXTRA * (_apart(said, mirrored, query, made) + other_hand)
             close = not made and (same or (bool(clause.actions) and said.actions == query.actions and not said.besides))
             found.append(Found(index, mirrored, total, part, times, close=close))
