@@ -71,8 +71,18 @@ def _raising(error):
     return run
 
 
-def test_interrupt_is_130(monkeypatch, capsys):
-    monkeypatch.setattr(Samples, "run", _raising(KeyboardInterrupt()))
+class _Interrupted:
+    def __set_name__(self, owner, name):
+        raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize(
+    "run",
+    [_raising(KeyboardInterrupt()), lambda self: type("Form", (), {"field": _Interrupted()})],
+    ids=["plainly", "while a class is made, which Python 3.11 reports as another error"],
+)
+def test_interrupt_is_130(monkeypatch, capsys, run):
+    monkeypatch.setattr(Samples, "run", run)
     assert main(["samples"]) == 130
     assert capsys.readouterr().err == "bunraku: interrupted\n"
 

@@ -76,14 +76,20 @@ def main(argv: Sequence[str] | None = None) -> int:
                 os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
         return 141
     except KeyboardInterrupt:
-        print("bunraku: interrupted", file=sys.stderr)
-        return 130
+        return _say_interrupted()
     except Exception as error:
+        if isinstance(error.__cause__, KeyboardInterrupt):  # Python 3.11 wraps what `__set_name__` raises
+            return _say_interrupted()
         if debug:
             traceback.print_exc()
         more = ", or go on with --force" if isinstance(error, NotUnderstood) else ""
         print(f"bunraku: error: {' '.join(sentence_of(error).split())}{more}", file=sys.stderr)
         return 1 if is_fault(error) else 2
+
+
+def _say_interrupted() -> int:
+    print("bunraku: interrupted", file=sys.stderr)
+    return 130
 
 
 def _repair_streams() -> None:
