@@ -181,6 +181,16 @@ def test_left_axis_and_parts():
     assert part_of_name("L.UpperLeg.001")[:2] == ("leg", 1)
 
 
+def test_sides_in_one_word_with_their_limb():
+    """As `arml`, `legr` of a game's monster, whose sides were not read; words that only end or begin so have none."""
+    sides = {"l": 1, "r": -1}
+    for limb, kind in (("arm", "shoulder"), ("leg", "leg"), ("hand", "wrist"), ("lowerleg", "leg"), ("wing", "wing")):
+        for letter, side in sides.items():
+            assert part_of_name(letter + limb)[:2] == part_of_name(limb + letter)[:2] == (kind, side)
+    for plain in ("finger", "lower", "lowerleg", "heel", "rearleg", "radius", "collar", "armor", "handle", "tail"):
+        assert part_of_name(plain)[1] == 0
+
+
 def test_the_name_of_the_character_is_no_part_of_its_bones():
     body = ("Hips", "Spine", "LeftUpLeg", "RightUpLeg", "LeftHand", "Head")
     assert without_prefix([f"Neo_{name}" for name in body]) == body

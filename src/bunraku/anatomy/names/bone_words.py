@@ -47,6 +47,26 @@ _KINDS: tuple[tuple[str, str], ...] = (
     ("root", r"^(root|bone|center|origin|armature|cog|reference)$"),
 )  # fmt: skip
 _COMPILED = tuple((kind, re.compile(pattern)) for kind, pattern in _KINDS)
+_SIDED = (
+    "fingers",
+    "wrist",
+    "elbow",
+    "shoulder",
+    "collar",
+    "wing",
+    "flipper",
+    "toe",
+    "foot",
+    "hip_bone",
+    "leg",
+    "hips",
+)
+_WHERE = {"front", "fore", "back", "hind", "rear", "upper", "lower", "up", "low"}
+_LIMB = rf"(?:{'|'.join(sorted(_WHERE))})*(?:{'|'.join(dict(_KINDS)[kind] for kind in _SIDED)})"
+_LIMB = re.sub(r"[\^$]", "", re.sub(r"\((?!\?)", "(?:", _LIMB))  # whole words, and no groups of their own
+# A side in one word with its limb: "lefthand" and whatever else a long side begins, but "larm" and "legr" only where
+# the rest is wholly the word of a limb, since "lower" and "finger" have such letters too.
+_GLUED = re.compile(f"(?!(?:{_LIMB})$)(?:(left|right)(.+)|([lr])({_LIMB})|({_LIMB})([lr]))$")
 
 # The standard bones of MikuMikuDance; a leading 左 or 右 is the side.
 _MMD = {
@@ -124,9 +144,8 @@ def part_of_name(name: str) -> tuple[str, int, int, bool]:
         kind = _MMD.get(stem) or next((part for part, pattern in _MMD_PARTS if re.search(pattern, rest)), "")
         return kind, side, 0, False
     plain = re.sub(r"\.\d+$", "", plain)  # Blender's copies
-    words = [w.lower() for w in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+", plain)]
     side, number, target, kept = 0, 0, False, []
-    for word in words:
+    for word in _words(plain):
         if word in ("l", "left"):
             side = 1
         elif word in ("r", "right"):
@@ -138,9 +157,6 @@ def part_of_name(name: str) -> tuple[str, int, int, bool]:
         elif word not in _DROP:
             kept.append(word)
     joined = "".join(kept)
-    match = re.match(r"^(left|right)(.+)$", joined)
-    if not side and match:
-        side, joined = (1 if match[1] == "left" else -1), match[2]
     if joined == "head" and number >= 2:
         return "head_top", side, number, target
     if target and joined in ("frontleg", "backleg"):
@@ -152,6 +168,15 @@ def part_of_name(name: str) -> tuple[str, int, int, bool]:
     if kind == "leg" and number == 0 and words_of in ("frontleg", "midfrontleg"):
         kind = "arm_leg"
     return kind, side, number, target
+
+
+def _words(name: str) -> list[str]:
+    """The words of a name in small letters, with a side that is glued to its limb as a word of its own."""
+    out = []
+    for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+", name):
+        glued = _GLUED.match(word.lower())
+        out += [part for part in glued.groups() if part] if glued else [word.lower()]
+    return out
 
 
 @lru_cache(maxsize=4096)  # names of a chain differ in their numbers alone
@@ -166,9 +191,6 @@ def _noun_last(words: list[str]) -> str:
     limb = next((place for place, word in enumerate(words) if word in ("leg", "arm")), len(words))
     after = words[limb + 1 :]
     return "".join([*words[:limb], *after, *(words[limb : limb + 1] if set(after) <= _WHERE else [])])
-
-
-_WHERE = {"front", "fore", "back", "hind", "rear", "upper", "lower", "up", "low"}
 
 
 _BLOCKS = {
