@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from bunraku.core.arrays import lzma_filters, unpack_steps
-from bunraku.core.body.layout import JOINT_COUNT
+from bunraku.core.body.layout import JOINT_COUNT, JOINT_NAMES
 from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.errors import WeightsError
 from bunraku.language.lexicon import actions_of, main_actions, said_cues, said_traits
@@ -41,6 +41,11 @@ METRES, RADIANS, ORDER = 5e-4, 2e-3, 2
 differences, 60 stretches took 23 % more bytes.
 """
 STEPS = 127.0  # into which 1 is parted in a file's unit vectors; a cosine is then off by .003 at the most
+HANGS = float(np.radians(15))
+"""How far a head hangs from the chest for good at the most. Nine of ten stretches of other sources stay below it; the
+markers of some people of CMU's make it 30 to 70 degrees while they stand, walk or sit down.
+"""
+NECK, HEAD = JOINT_NAMES.index("neck"), JOINT_NAMES.index("head")
 _NUMBERS = 3 + 3 * JOINT_COUNT
 FILTERS = lzma_filters(9 | lzma.PRESET_EXTREME, 1 << 16)
 
@@ -181,7 +186,7 @@ class ExamplePack:
 
     def features(self, index: int) -> np.ndarray:
         """Features of an example, shape (N, 271)."""
-        return _features(self.data[index], self.examples[index].frames)
+        return _features(self.data[index], self.examples[index].frames, not self.examples[index].made)
 
 
 def stand_well(pack: ExamplePack) -> list[int]:
@@ -209,12 +214,8 @@ def _encoded_at_once(pack: ExamplePack, indices: Sequence[int]) -> list[np.ndarr
 
 def _skeletal(pack: ExamplePack, indices: Sequence[int]) -> list[SkeletalMotion]:
     """The motions of some examples."""
-    from bunraku.core.body.reference import reference_body
-    from bunraku.core.motion import SkeletalMotion
-
     root, rotations, ends = _unpacked(pack, indices)
-    parts = zip(np.split(rotations, ends), np.split(root, ends), strict=True) if indices else ()
-    return [SkeletalMotion(reference_body().skeleton, *part, FPS) for part in parts]
+    return [_motion(*part) for part in zip(np.split(root, ends), np.split(rotations, ends), strict=True) if indices]
 
 
 def _unpacked(pack: ExamplePack, indices: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -225,17 +226,34 @@ def _unpacked(pack: ExamplePack, indices: Sequence[int]) -> tuple[np.ndarray, np
 
 
 @functools.lru_cache(maxsize=128)
-def _features(data: bytes, frames: int) -> np.ndarray:
-    return _encoded(*unpacked_stretch(data, frames))
+def _features(data: bytes, frames: int, captured: bool) -> np.ndarray:
+    root, rotations = unpacked_stretch(data, frames)
+    return _encoded(root, head_up(rotations) if captured else rotations)
+
+
+def head_up(rotations: np.ndarray) -> np.ndarray:
+    """Rotations (N, 22, 3, 3) with a head that does not hang from the chest by more than `HANGS` for good; what it does
+    meanwhile stays.
+    """
+    neck, held = rotations[:, NECK], rotations[:, NECK] @ rotations[:, HEAD]
+    hangs = float(np.median(np.arctan2(-held[:, 1, 2], held[:, 2, 2])))
+    raised, out = matrix_from_axis_angle(np.array([min(HANGS - hangs, 0.0), 0, 0])), rotations.copy()
+    out[:, HEAD] = neck.transpose(0, 2, 1) @ raised @ held
+    return out
 
 
 def _encoded(root: np.ndarray, rotations: np.ndarray) -> np.ndarray:
     """Features of a stretch (see `diffusion.features`), shape (N, 271)."""
-    from bunraku.core.body.reference import reference_body
-    from bunraku.core.motion import SkeletalMotion
     from bunraku.generation.features import body_handle_motion, encode
 
-    return encode(body_handle_motion(SkeletalMotion(reference_body().skeleton, rotations, root, FPS)))
+    return encode(body_handle_motion(_motion(root, rotations)))
+
+
+def _motion(root: np.ndarray, rotations: np.ndarray) -> SkeletalMotion:
+    from bunraku.core.body.reference import reference_body
+    from bunraku.core.motion import SkeletalMotion
+
+    return SkeletalMotion(reference_body().skeleton, rotations, root, FPS)
 
 
 def unpacked_stretch(data: bytes, frames: int) -> tuple[np.ndarray, np.ndarray]:
@@ -293,15 +311,11 @@ def read_pack(path: str | Path) -> ExamplePack:
             _both_sides(state), _units(state["motions"]), str(config["ranker"]),
             [int(index) for index in config["stand"]], [said[number] for number in state["readings"].tolist()],
         )  # fmt: skip
-        fits = pack.texts.shape[:2] == (2, len(owners)) and pack.motions.shape[:2] == (2, len(examples))
-        if (
-            not fits
-            or len(sizes) != len(examples)
-            or len(pack.readings or ()) != len(examples)
-            or not ((owners >= 0) & (owners < len(examples))).all()
-        ):
+        count = len(examples)
+        fits = pack.texts.shape[:2] == (2, len(owners)) and pack.motions.shape[:2] == (2, count)
+        if not (fits and len(sizes) == len(pack.readings or ()) == count and ((owners >= 0) & (owners < count)).all()):
             raise ValueError("its tables have different lengths")
-        if not all(0 <= index < len(examples) for index in pack.stand or ()):
+        if not all(0 <= index < count for index in pack.stand or ()):
             raise ValueError("people stand in stretches that it does not have")
     return pack
 
@@ -329,9 +343,7 @@ def load_examples() -> ExamplePack | None:
     from bunraku.core.nn.checkpoints import dated_checkpoint
 
     path = weights_file("examples.safetensors")
-    if not path.is_file():
-        return None
-    return _load(*dated_checkpoint("examples", path), *dated_checkpoint("ranker"))
+    return _load(*dated_checkpoint("examples", path), *dated_checkpoint("ranker")) if path.is_file() else None
 
 
 @functools.lru_cache(maxsize=2)

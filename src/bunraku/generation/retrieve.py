@@ -195,14 +195,14 @@ def _retrieved(
                 continue
             if made and unsided and mirrored != any(cue.startswith("left") for cue in unsided):  # the right one
                 continue
-            action = pack.actions[index]
-            if action and query.actions != {action}:  # as `_does` would find by its sentences
+            if pack.actions[index] and query.actions != {pack.actions[index]}:  # as `_does` would find by its sentences
                 continue
             said = pack.said[index]
-            alike = not clause.actions or said.actions == query.actions
             both = (said.actions | said.besides) & query.actions
             shared = not clause.actions or bool(both or _LIMBS & query.cues)
-            same = shared and bool(near[index] >= (LIKE if alike else SAME))
+            same = shared and bool(
+                near[index] >= (LIKE if not clause.actions or said.actions == query.actions else SAME)
+            )
             shown = wanted - _ADDED if made else wanted | counts
             part_of_it = partly and not made and (not clause.actions or (said.actions | said.besides) & query.actions)
             if not ((part_of_it or _does(said, query, same, made)) and _agrees(said, mirrored, query, shown)):
@@ -264,15 +264,13 @@ def _apart(said: Said, mirrored: bool, query: Said, made: bool) -> float:
     of how many traits only one of the two has. A person who points does not point to the left, a person who falls does
     not get up and fall again, and a person who runs does not set off and halt.
     """
-    ways = (
-        (mirrored_cues(said.cues) if mirrored else said.cues) & _ADDED_WAYS - query.cues if made else frozenset[str]()
-    )
+    ways = (mirrored_cues(said.cues) if mirrored else said.cues) & _ADDED_WAYS - query.cues
     rows = lexicon().actions
     shown = (said.actions | said.besides) - query.actions
     others = [one for one in shown if one not in rows or not rows[one].passing]
     # in what goes on, standing before it or after it disturbs
     stands = STANDS if "idle" in shown and all(map(is_cyclic, query.actions)) and "halts" not in query.traits else 0
-    return stands + len(others) + len(ways) + len(said.traits ^ query.traits) / 2
+    return stands + len(others) + made * len(ways) + len(said.traits ^ query.traits) / 2
 
 
 def _lacks(pack: ExamplePack, index: int, mirrored: bool, clause: Clause) -> tuple[tuple[str, ...], str]:

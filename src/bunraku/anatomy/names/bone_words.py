@@ -47,26 +47,13 @@ _KINDS: tuple[tuple[str, str], ...] = (
     ("root", r"^(root|bone|center|origin|armature|cog|reference)$"),
 )  # fmt: skip
 _COMPILED = tuple((kind, re.compile(pattern)) for kind, pattern in _KINDS)
-_SIDED = (
-    "fingers",
-    "wrist",
-    "elbow",
-    "shoulder",
-    "collar",
-    "wing",
-    "flipper",
-    "toe",
-    "foot",
-    "hip_bone",
-    "leg",
-    "hips",
-)
+_SIDED = ("fingers", "wrist", "elbow", "shoulder", "collar", "wing", "flipper", "toe", "foot", "leg", "hips")
 _WHERE = {"front", "fore", "back", "hind", "rear", "upper", "lower", "up", "low"}
 _LIMB = rf"(?:{'|'.join(sorted(_WHERE))})*(?:{'|'.join(dict(_KINDS)[kind] for kind in _SIDED)})"
 _LIMB = re.sub(r"[\^$]", "", re.sub(r"\((?!\?)", "(?:", _LIMB))  # whole words, and no groups of their own
 # A side in one word with its limb: "lefthand" and whatever else a long side begins, but "larm" and "legr" only where
 # the rest is wholly the word of a limb, since "lower" and "finger" have such letters too.
-_GLUED = re.compile(f"(?!(?:{_LIMB})$)(?:(left|right)(.+)|([lr])({_LIMB})|({_LIMB})([lr]))$")
+_GLUED = re.compile(f"^(?!(?:{_LIMB})$)(?:(left|right)(.+)|([lr])({_LIMB})|({_LIMB})([lr]))$")
 
 # The standard bones of MikuMikuDance; a leading 左 or 右 is the side.
 _MMD = {
@@ -144,12 +131,11 @@ def part_of_name(name: str) -> tuple[str, int, int, bool]:
         kind = _MMD.get(stem) or next((part for part, pattern in _MMD_PARTS if re.search(pattern, rest)), "")
         return kind, side, 0, False
     plain = re.sub(r"\.\d+$", "", plain)  # Blender's copies
+    words = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+", plain)
     side, number, target, kept = 0, 0, False, []
-    for word in _words(plain):
-        if word in ("l", "left"):
-            side = 1
-        elif word in ("r", "right"):
-            side = -1
+    for word in (part for whole in words for part in _GLUED.split(whole.lower()) if part):
+        if word in ("l", "left", "r", "right"):
+            side = 1 if word.startswith("l") else -1
         elif word.isdigit():
             number = number or int(word)
         elif word == "ik":
@@ -168,15 +154,6 @@ def part_of_name(name: str) -> tuple[str, int, int, bool]:
     if kind == "leg" and number == 0 and words_of in ("frontleg", "midfrontleg"):
         kind = "arm_leg"
     return kind, side, number, target
-
-
-def _words(name: str) -> list[str]:
-    """The words of a name in small letters, with a side that is glued to its limb as a word of its own."""
-    out = []
-    for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+", name):
-        glued = _GLUED.match(word.lower())
-        out += [part for part in glued.groups() if part] if glued else [word.lower()]
-    return out
 
 
 @lru_cache(maxsize=4096)  # names of a chain differ in their numbers alone
