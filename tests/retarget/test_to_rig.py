@@ -10,7 +10,7 @@ import trimesh
 import bunraku
 from bunraku import CharacterError, SkeletalMotion
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.anatomy.names.bone_names import rig_handles
+from bunraku.anatomy.names.bone_names import handle_of_joints, rig_handles
 from bunraku.anatomy.rig_limbs import four_legs_of_rig, legs_of_rig
 from bunraku.core.animation import RigAnimation
 from bunraku.core.body.layout import HANDLE_NAMES, JOINT_NAMES
@@ -379,6 +379,20 @@ def test_bones_are_known_by_the_skin_that_they_hold(hard):
     assert np.quantile(away, 0.9) < (0.12 if hard else 0.06) * dog.height < 0.2 < np.ptp(wanted[:, :, 2], axis=0).min()
     alone = replace(nameless.rig, indices=np.zeros((len(dog.vertices), 1)), weights=np.ones((len(dog.vertices), 1)))
     assert RigParts.by_skin(replace(body, character=replace(dog, rig=alone))) is None
+
+
+def test_a_bone_that_bears_legs_is_their_pelvis_whatever_its_skin_says():
+    """Of a six-legged robot the trunk was taken for a tail, and thighs for the pelvis: legs came off."""
+    dog = make_sample("dog", rigged=True)
+    known, handles = handle_of_joints(dog.rig.names, dog.rig.parents), rig_handles(dog)
+    pelvis, hip, tail = map(HANDLE_NAMES.index, ("pelvis", "left_hip", "tail_tip"))
+    weights = handles.weights.copy()
+    weights[:, tail] += weights[:, pelvis]
+    weights[:, pelvis], weights[:, hip] = weights[:, hip], 0
+    body = Anatomy.of(replace(dog, rig=None), rig_handles(dog))
+    parts = RigParts.by_skin(replace(body, character=dog, handles=replace(handles, weights=weights)))
+    assert parts is not None
+    assert (parts.parts[known == pelvis] == pelvis).all() and (parts.parts[known == hip] == hip).all()
 
 
 def spider(legs=4, bent=0.3) -> Character:

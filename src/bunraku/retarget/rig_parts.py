@@ -31,23 +31,19 @@ from bunraku.core.motion import Skeleton, line_up
 from bunraku.errors import CharacterError
 from bunraku.files import Source, clips_rise
 
-HUMANOID = (
-    0,
-    *(
-        HANDLE_NAMES.index(f"{side}_{part}")
-        for part in ("hip", "knee", "shoulder", "elbow")
-        for side in ("left", "right")
-    ),
-)
+
+def _both(*parts: str) -> list[int]:
+    return [HANDLE_NAMES.index(f"{side}_{part}") for part in parts for side in SIDES]
+
+
+HUMANOID = (0, *_both("hip", "knee", "shoulder", "elbow"))
 """Parts that a rig must have to take a person's motion bone by bone."""
-_WINGED = (*(HANDLE_NAMES.index(f"{side}_{part}") for part in ("hip", "knee", "wing") for side in ("left", "right")), 0)
+_WINGED = (0, *_both("hip", "knee", "wing"))
 """Parts that a bird's rig must have."""
 _VRM = {
     "hips": "pelvis", "spine": "spine1", "chest": "spine2", "upperChest": "spine3", "neck": "neck", "head": "head",
-    "jaw": "face",
-    "Shoulder": "collar", "UpperArm": "shoulder", "LowerArm": "elbow", "Hand": "wrist", "UpperLeg": "hip",
-    "LowerLeg": "knee", "Foot": "ankle",
-    "Toes": "foot",
+    "jaw": "face", "Shoulder": "collar", "UpperArm": "shoulder", "LowerArm": "elbow", "Hand": "wrist",
+    "UpperLeg": "hip", "LowerLeg": "knee", "Foot": "ankle", "Toes": "foot",
 }  # fmt: skip
 OWN_BONES = 0.3
 """Share of a limb on bones that hold more of it than of all else. Measured on 40 animals: some fish bend in their last
@@ -58,12 +54,9 @@ NEAR_HEAD = 0.1
 LEVEL, KNEE_UP = 0.2, (0.7, -1.2)
 """A leg of many that falls by less over its reach rests level; how much its parts rise then. By eye on two spiders."""
 FEWEST_PARTS = 3  # parts that the bones of a body move
-_WINGS, _TAIL = (
-    [[HANDLE_NAMES.index(f"{side}_wing")] for side in SIDES],
-    [HANDLE_NAMES.index(name) for name in ("tail", "tail_tip")],
-)
-_HIPS = (HANDLE_NAMES.index("left_hip"), HANDLE_NAMES.index("right_hip"))
-_FEET = tuple(HANDLE_NAMES.index(f"{side}_{part}") for part in ("ankle", "foot") for side in ("left", "right"))
+_WINGS, _TAIL = [[wing] for wing in _both("wing")], [HANDLE_NAMES.index(name) for name in ("tail", "tail_tip")]
+_TRUNK = [HANDLE_NAMES.index(name) for name in ("pelvis", "spine1", "spine2", "spine3")]
+_HIPS, _FEET = tuple(_both("hip")), tuple(_both("ankle", "foot"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,10 +128,10 @@ class RigParts:
         skin = csr_matrix((rig.weights.ravel(), (rig.indices.ravel(), rows)), shape=(bones, len(areas)))
         shared = skin @ (found.weights * areas[:, None])
         mass = shared.sum(axis=1)
-        parts = np.where(mass > 0, shared.argmax(axis=1), NO_HANDLE)
+        parents = _followed(character)
+        parts = _as_borne(np.where(mass > 0, shared.argmax(axis=1), NO_HANDLE), parents, LEGS + body.further)
         if not _moves_all(body, shared, parts):
             return None
-        parents = _followed(character)
         weights = np.asarray(skin.T @ np.eye(HANDLE_COUNT + 1, dtype=np.float32)[parts][:, :HANDLE_COUNT])
         weights[:, 0] += 1 - weights.sum(axis=1)
         positions = found.positions if found.rigid else handle_positions(character.vertices, weights, areas)
@@ -253,6 +246,26 @@ def _lowered(turns: np.ndarray, handles: Handles, joints: Joints, legs: list[lis
     return out
 
 
+def _as_borne(parts: np.ndarray, parents: np.ndarray, legs: list[list[int]]) -> np.ndarray:
+    """Parts of bones, -1 for none, shape (J,), as the tree has them where their skin says otherwise: what bears legs of
+    both sides is the pelvis, unless it is all that there is of the trunk, and what bears a leg alone is of that leg.
+    """
+    out, order = parts.copy(), bone_order(parents)
+    free = np.setdiff1d((*_TRUNK, *_TAIL), [handle for leg in legs for handle in leg])
+    borne = [{number for number, leg in enumerate(legs) if part in leg} for part in parts]
+    for bone in reversed(order):
+        if len(borne[bone]) == 1 and parts[bone] in free:
+            leg, joints = legs[min(borne[bone])], [out[child] for child in np.flatnonzero(parents == bone)]
+            out[bone] = leg[max(min((leg.index(part) for part in joints if part in leg), default=1) - 1, 0)]
+        if parents[bone] >= 0:
+            borne[parents[bone]] |= borne[bone]
+    bearers = [bone for bone in order if len(borne[bone]) > 1 and parts[bone] != NO_HANDLE]
+    trunk = [bone for bone in order if parts[bone] in free and parts[bone] in _TRUNK]
+    if bearers and 0 not in parts[bearers] and (bearers[-1] not in trunk or len(trunk) > 1):
+        out[bearers[-1]] = 0
+    return out
+
+
 def _moves_all(body: Anatomy, shared: np.ndarray, parts: np.ndarray) -> bool:
     """Whether bones, each a part of a handle or of none, -1, shape (J,), can move what carries a body, each limb on its
     own: its legs and the arms of a person, or, without legs and lying, its wings or its tail. `shared` (J, 30) says how
@@ -302,10 +315,8 @@ def _readable(character: Character, known: np.ndarray | None) -> RigParts | None
 
 def is_humanoid_rig(character: Character) -> bool:
     """Whether a character has a rig that takes a person's motion bone by bone."""
-    try:
-        return RigParts.of(character).humanoid
-    except CharacterError:
-        return False
+    named = _readable(character, None)
+    return named is not None and named.humanoid
 
 
 def _shaped_parts(character: Character) -> np.ndarray | None:
@@ -335,7 +346,7 @@ def _followed(character: Character) -> np.ndarray:
     over, as the legs that hold the skin do of those that are keyed. Bones that turn the other way stay with their
     parents.
     """
-    rig, model = character.rig, _mmd_rig(character)
+    rig, model = character.rig, mmd_rig(character)
     assert rig is not None
     out = np.array(rig.parents)
     if model is None:
@@ -347,7 +358,7 @@ def _followed(character: Character) -> np.ndarray:
     return out
 
 
-def _mmd_rig(character: Character) -> MmdModel | None:
+def mmd_rig(character: Character) -> MmdModel | None:
     """The MMD model whose bones a character's rig has; None for other characters."""
     model, rig = mmd_model(character), character.rig
     return model if model is not None and rig is not None and len(model.bones) == len(rig.names) else None
@@ -357,7 +368,7 @@ def _avatar_parts(character: Character, followed: np.ndarray, mass: np.ndarray) 
     """Handle of each bone of an avatar whose file or format says which bones are a person's, shape (J,), -1 for others;
     None for other characters. Each bone goes along with the one of `followed` (J,), and holds `mass` (J,) of the skin.
     """
-    model = _mmd_rig(character)
+    model = mmd_rig(character)
     standard = None if model is None else mmd_skeleton_map(model.names)
     if model is None or standard is None:
         return _vrm_parts(character)
@@ -373,11 +384,9 @@ def _avatar_parts(character: Character, followed: np.ndarray, mass: np.ndarray) 
 
 def _vrm_parts(character: Character) -> np.ndarray | None:
     """Handle of each bone of a VRM avatar, whose file names them (J,); -1 for others. None for other characters."""
-    source = character.source
+    source, rig = character.source, character.rig
     model = vrm_model(character) if isinstance(source, Source) else None
-    if model is None or not model.humanoid or character.rig is None:
-        return None
-    if len(source.skins.nodes) != len(character.rig.names):
+    if model is None or rig is None or not model.humanoid or len(source.skins.nodes) != len(rig.names):
         return None
     bones = {node: bone for bone, node in enumerate(source.skins.nodes)}
     out = np.full(len(bones), NO_HANDLE)

@@ -9,12 +9,11 @@ import numpy as np
 from bunraku.anatomy.anatomy import reference_anatomy
 from bunraku.anatomy.names.bone_names import NO_HANDLE
 from bunraku.core.animation import RigAnimation
-from bunraku.core.avatars import mmd_model
 from bunraku.core.character import Character
 from bunraku.core.motion import HandleMotion
 from bunraku.retarget.fit import Stages, fit_motion
 from bunraku.retarget.mmd_pose import pose_mmd
-from bunraku.retarget.rig_parts import RigParts
+from bunraku.retarget.rig_parts import RigParts, mmd_rig
 
 
 def stiff(motion: HandleMotion) -> HandleMotion:
@@ -48,10 +47,8 @@ def on_bones(parts: RigParts, fitted: HandleMotion, reference: HandleMotion | No
 
 def _with_helpers(animation: RigAnimation, parts: RigParts) -> RigAnimation:
     """The animation with an MMD model's helper bones in place; legs and arms stay, without inverse kinematics."""
-    model, rig = mmd_model(parts.character), parts.character.rig
-    if model is None or rig is None or len(model.bones) != len(rig.names):
-        return animation
-    if not np.allclose(model.positions, rig.positions, atol=1e-4):
+    model, rig = mmd_rig(parts.character), parts.character.rig
+    if model is None or rig is None or not np.allclose(model.positions, rig.positions, atol=1e-4):
         return animation
     tracks, switches = {}, {}
     for bone, entry in enumerate(model.bones):
