@@ -166,6 +166,26 @@ def test_legs_and_trunk_are_those_of_a_busy_person_and_idle_hands_those_of_an_id
     assert np.min(hands) > 0.35  # arms hang
 
 
+def test_who_makes_a_gesture_does_not_stoop_as_people_do_who_talk():
+    def bent(positions):  # degrees by which both knees and the trunk are
+        hip, knee, ankle, pelvis, neck = (
+            np.stack([positions[:, AT[name]] for name in names])
+            for names in (("left_hip", "right_hip"), ("left_knee", "right_knee"), ("left_ankle", "right_ankle"),
+                          ("pelvis",), ("neck",))
+        )  # fmt: skip
+        thigh, shin, trunk = knee - hip, ankle - knee, (neck - pelvis)[0]
+        cosine = (thigh * shin).sum(-1) / np.linalg.norm(thigh, axis=-1) / np.linalg.norm(shin, axis=-1)
+        return np.degrees(np.arccos(cosine)).mean(), np.degrees(np.arctan2(trunk[:, 2], trunk[:, 1])).mean()
+
+    pack = load_examples()
+    knees, leans = np.transpose([
+        bent(performed(gesture("wave"), 60, pack.idles, np.random.default_rng(seed), busy=pack.busy).world()[1])
+        for seed in range(16)
+    ])  # fmt: skip
+    assert np.median(knees) < 30, knees.round()
+    assert leans.max() < 12, leans.round()
+
+
 def tracks(name):
     return Tracks.of(next(one for one in gestures() if one.name == name).keys)
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bunraku.core.body.reference import reference_body
 from bunraku.core.geometry.rotations import matrix_y
 from bunraku.core.motion import SkeletalMotion
 from bunraku.gestures.play import AT, FPS, SIDES, HandTrack, Standing, Tracks, captured, mirrored, posed, swaying
@@ -103,8 +104,14 @@ captured people who make one; and how many times as far as in standing at the mo
 """
 TURNS = (10.0, 24.0)
 """The same of how far it turns to and fro [degrees], and up to as many times as far."""
-DIPS, OUT = (0.015, 0.045), 0.7
+DIPS, OUT = (0.005, 0.02), 0.7
 """How far it goes down at most with hands that go out, drawn from these [m], and how far they go out for all of it."""
+STRAIGHT = 0.996
+"""From hip to ankle of a leg that stands, over its length: the knee is bent by ten degrees, as those of the people who
+were captured standing are.
+"""
+BOBS = 0.7
+"""Share of their going up and down that those who stoop lose as they are straightened; chosen by eye."""
 WITH_BUSY = 0.85
 """Share of gestures of the hands that are made by a person who was captured with busy hands, whose legs and trunk are
 livelier: beside them a shaken head is not seen.
@@ -153,7 +160,7 @@ def performed(
     if gesture.steps:
         standing = replace(standing, feet={side: None for side, _ in SIDES})
     else:
-        standing, tracks = _turning(standing, generator), _dipping(tracks, generator)
+        standing, tracks = _upright(_turning(standing, generator)), _dipping(tracks, generator)
     return posed(tracks, times, moments, standing, fps)
 
 
@@ -175,6 +182,32 @@ def _turning(standing: Standing, random: np.random.Generator) -> Standing:
     rotations = standing.rotations.copy()
     rotations[:, 0] = matrix_y(more * (angle - angle.mean())) @ pelvis
     return replace(standing, rotations=rotations)
+
+
+def _upright(standing: Standing) -> Standing:
+    """A person whose knees are nearly straight where they are straightest, and whose trunk does not lean ahead on
+    average, looking where it did: people who were captured as they talk stand with knees bent by 30 degrees.
+    """
+    rest = reference_body().joints.astype(float)
+    pelvis, lifts = standing.rotations[:, 0], []
+    for side, foot in standing.feet.items():
+        if foot is not None:
+            hip, knee, ankle = (AT[f"{side}_{name}"] for name in ("hip", "knee", "ankle"))
+            away = rest[0] + standing.hips + pelvis @ (rest[hip] - rest[0]) - foot.ankle
+            length = STRAIGHT * np.linalg.norm(np.diff(rest[[hip, knee, ankle]], axis=0), axis=1).sum()
+            lifts.append(np.sqrt(np.maximum(length**2 - (away[:, [0, 2]] ** 2).sum(axis=1), 0)) - away[:, 1])
+    lift = np.min(lifts, axis=0) if lifts else np.zeros(len(pelvis))
+    lift = np.maximum(lift.min() + BOBS * (lift - lift.min()), 0)
+    world, above = pelvis, np.zeros((len(pelvis), 3))
+    for below, joint in zip(("pelvis", *_SPINE), _SPINE[:4], strict=False):
+        above = above + world @ (rest[AT[joint]] - rest[AT[below]])
+        world = world @ standing.rotations[:, AT[joint]]
+    own = rest[AT["neck"]] - rest[AT["pelvis"]]
+    ahead = np.degrees(np.arctan2(above[:, 2], above[:, 1]) - np.arctan2(own[2], own[1])).mean()
+    back = np.array([max(float(ahead), 0.0), 0, 0])
+    return replace(
+        standing, hips=standing.hips + lift[:, None] * [0, 1, 0], lean=standing.lean - back, head=standing.head + back
+    )  # fmt: skip
 
 
 def _dipping(tracks: Tracks, random: np.random.Generator) -> Tracks:
