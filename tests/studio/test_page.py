@@ -261,12 +261,12 @@ def test_a_hand_is_pinned_and_a_path_is_typed_without_a_pointer(page):
 
 
 def vase(rings=24, sides=24):
-    """An OBJ of a body that is the same from all sides, so that nobody can be sure of its front."""
+    """An OBJ of a body that is the same from all sides, so that nobody can be sure of its front, far from the origin."""
     radii = 0.3 + 0.15 * np.sin(np.linspace(0, 6, rings))
     radii[[0, -1]] = 0.01
     angles = np.arange(sides) / sides * 2 * np.pi
     lines = [
-        f"v {radius * np.cos(angle):f} {high:f} {radius * np.sin(angle):f}"
+        f"v {radius * np.cos(angle) - 48:f} {high:f} {radius * np.sin(angle) - 139:f}"
         for radius, high in zip(radii, np.linspace(0, 1.6, rings), strict=True)
         for angle in angles
     ]
@@ -282,12 +282,17 @@ def test_four_views_ask_for_the_front(page, tmp_path):
     page.drop(tmp_path / "vase.obj")
     page.until("studio.character.value?.name === 'vase' && studio.character.value.state === 'ready'")
     axes = page.value("studio.character.value.axes")
-    page.until("studio.take.value?.state === 'done'")  # a character is turned while nothing is made of it
     page.page.wait_for_selector(".fronts .card >> nth=3")
-    page.page.click(".fronts .card >> nth=1")
+    page.page.click(".fronts .card >> nth=1")  # while its first take is made
     page.until("studio.character.value.settings.front !== 'auto' && studio.character.value.state === 'ready'")
     wanted = {"+z": "+x", "+x": "-z", "-z": "-x", "-x": "+z"}[axes["front"]]
     assert page.value("[studio.character.value.settings.up, studio.character.value.settings.front]") == ["+y", wanted]
+    page.until("studio.character.value.state === 'ready' && studio.take.value?.state === 'done'")
+    page.shown()
+    page.value("studio.view().draw(true)")
+    low, high = page.value("studio.character.value.bounds")
+    x, y = page.page.evaluate(AIM, [(one + other) / 2 for one, other in zip(low, high, strict=True)])
+    assert 300 < x < 980 and 60 < y < 560, (x, y)  # it is in view
     page.page.click("[aria-label='delete vase']")
     page.until("studio.character.value?.name !== 'vase'")
 

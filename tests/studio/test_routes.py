@@ -202,16 +202,13 @@ def test_a_body_is_corrected_by_a_file_beside_it(client, ready):
     assert client.delete(address).status_code == 202 and not file.exists()
 
 
-def test_a_character_in_work_is_not_turned(client, ready):
-    made = take(client, ready).json()["job"]
-    answer = client.patch(f"/api/characters/{ready}", json={"up": "+z", "front": "-y"})
+def test_a_character_is_turned_before_the_takes_that_wait(client, ready):
+    made, turned = take(client, ready).json()["job"], {"json": {"up": "+z", "front": "-y"}}
+    opened = client.patch(f"/api/characters/{ready}", **turned).json()["job"]
+    assert list(client.app.state.studio.jobs._waiting) == [opened, made]
+    answer = client.patch(f"/api/characters/{ready}", json={"up": "-z"})
     assert answer.status_code == 400 and "wait for it" in answer.json()["error"]
     assert client.patch(f"/api/characters/{ready}", json={"name": "two"}).json()["name"] == "two"
-    jobs, turned = client.app.state.studio.jobs, {"json": {"up": "+z", "front": "-y"}}
-    jobs._finish = lambda *_: answers.append(client.patch(f"/api/characters/{ready}", **turned).status_code)
-    answers = []
-    jobs._end(jobs.get(made), "done", {})  # its results are there a moment before it is seen to be done
-    assert answers == [202]
 
 
 def test_what_is_understood_comes_with_places(client):

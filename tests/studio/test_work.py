@@ -256,6 +256,23 @@ def test_a_running_job_is_cancelled(studio, character):
     studio.done(studio.animate(character["id"])["job"])
 
 
+def test_a_correction_overtakes_the_take_that_is_made_and_a_take_what_is_found_out(own_studio):
+    studio = own_studio()
+    one = studio.sample("mushroom")["id"]
+    state = lambda job: studio.get(f"/api/jobs/{job}")["state"]  # noqa: E731
+    kinds = lambda: {job["kind"]: job["id"] for job in studio.get("/api/jobs")["jobs"] if job["state"] == "running"}  # noqa: E731
+    studio.until(lambda: "find-out" in kinds() or "lay-chains" in kinds(), "a look at the character")
+    (looked,) = kinds().values()
+    made = studio.animate(one, "walks", seconds=12, steps=300)
+    studio.until(lambda: studio.get(f"/api/jobs/{made['job']}")["stage"] in ("draft", "generate"), "generating")
+    assert state(looked) in ("waiting", "done")
+    studio.done(studio.ask("PATCH", f"/api/characters/{one}", {"front": "+x"})[1]["job"])
+    assert state(made["job"]) in ("waiting", "running")
+    assert studio.get(f"/api/takes/{made['takes'][0]}")["state"] in ("waiting", "draft")
+    studio.ask("DELETE", f"/api/jobs/{made['job']}")
+    studio.until(lambda: "ends" in studio.get(f"/api/characters/{one}"), "what is found out")
+
+
 def test_a_worker_that_is_killed_comes_back(studio, character, take):
     made = studio.animate(character["id"], "walks", seconds=12, steps=200)
     waiting = studio.animate(character["id"], "waves")

@@ -67,6 +67,8 @@ MOST_WAITING = 64
 """Jobs in the queue; more are refused."""
 REMEMBERED = 500
 """Finished jobs that are kept for pages that were away."""
+LATER = ("find-out", "lay-chains")
+"""Jobs that are begun when nothing was done for `QUIET`, and stopped, to be done again later, where another comes."""
 QUIET = 1.0
 """Seconds without work before a background job is begun; chosen by eye."""
 PATIENCE = 4.0
@@ -138,9 +140,9 @@ class Jobs:
         self._bell: Connection | None = None
         self.warm = False
         self._cancelled_at = 0.0
+        self._running: Job | None = None
+        self._overtaken = ""  # the job that is stopped so that another one is done, and then done again
         self._stopping = False
-        self.ending: str | None = None
-        """The job whose results are being taken in: they are there a moment before it is seen to be done."""
         self._thread: threading.Thread | None = None
         for record in store.all("jobs"):  # of a run that ended before they did
             self._jobs[record["id"]] = cast(
@@ -181,11 +183,12 @@ class Jobs:
 
     def submit(
         self, kind: str, title: str, params: Mapping[str, object], about: About | None = None, *,
-        passing: bool = False, first: bool = False, later: bool = False,
+        passing: bool = False, first: bool = False, overtakes: str | None = None,
     ) -> Job:  # fmt: skip
         """Put a job into the queue; QueueFull where too many wait, FormatError where it cannot be written down. A job
-        that is `passing` is not kept on disk and not offered again by the next run; one that goes `first` takes a
-        moment, and is done before all that wait; one that goes `later` is begun when nothing was done for `QUIET`.
+        that is `passing` is not kept on disk and not offered again by the next run; one that goes `first` is done
+        before all that wait. One that `overtakes` a character stops the takes that are being made of it, which are made
+        anew afterwards; so does any one with what is done `LATER`.
         """
         with self._lock:
             if len(self._waiting) + len(self._later) + self._coming >= MOST_WAITING:
@@ -201,8 +204,14 @@ class Jobs:
         with self._wake:
             job = cast(Job, {**new, "state": "waiting", "stage": "", "done": 0.0, "error": ""})
             self._jobs[job["id"]] = job
-            queue = self._later if later else self._waiting
+            queue = self._later if kind in LATER else self._waiting
             (queue.appendleft if first else queue.append)(job["id"])
+            runs = self._running
+            if runs is not None and kind not in LATER:
+                makes = runs["about"].get("character") if "takes" in runs["about"] else None
+                if runs["kind"] in LATER or (overtakes is not None and makes == overtakes):
+                    self._overtaken = runs["id"]
+                    self._ring(runs["id"])
             self.changes.tell("job", public(job))
             self._wake.notify_all()
             return job
@@ -225,12 +234,17 @@ class Jobs:
             if queue is not None:
                 queue.remove(name)
             elif job["state"] == "running":
-                self._cancelled_at = time.monotonic()
-                with suppress(OSError, AttributeError):  # a process that is gone needs no bell
-                    self._bell.send(name)  # type: ignore[union-attr]
+                self._overtaken = ""
+                self._ring(name)
         if queue is not None or job["state"] == "interrupted":
             self._end(job, "cancelled", {})
         return job
+
+    def _ring(self, name: str) -> None:
+        """Have the job stop that runs."""
+        self._cancelled_at = time.monotonic()
+        with suppress(OSError, AttributeError):  # a process that is gone needs no bell
+            self._bell.send(name)  # type: ignore[union-attr]
 
     def _spawn(self) -> None:
         ours, theirs = self._context.Pipe()
@@ -266,6 +280,7 @@ class Jobs:
                 job = self._jobs[(self._waiting or self._later).popleft()]
                 self._cancelled_at = 0.0
                 job.update({"state": "running", "started": time.time()})
+                self._running = job
                 self.changes.tell("job", public(job))
             self._run(job)
             self._worked = time.monotonic()
@@ -339,7 +354,18 @@ class Jobs:
         """Take in how a job ended. Its results come first, so that they are there when it is seen to be done; writing
         them goes on outside the lock.
         """
-        error, self.ending = str(said.get("error", "")), job["id"]
+        error = str(said.get("error", ""))
+        with self._lock:
+            self._running = None
+            overtaken, self._overtaken = self._overtaken == job["id"], ""
+            if overtaken and state == "cancelled":
+                if job["kind"] in LATER:
+                    self._later.appendleft(job["id"])
+                else:
+                    self._waiting.insert(1, job["id"])  # behind the one that overtook it
+                job.update({"state": "waiting", "stage": "", "done": 0.0})
+                self.changes.tell("job", public(job))
+                return
         try:
             self._finish(job, state, said)
         except NotThere:

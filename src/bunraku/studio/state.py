@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from bunraku.errors import BunrakuError
-from bunraku.studio.jobs import OPEN_STATES, About, Job, Jobs
+from bunraku.studio.jobs import About, Job, Jobs
 from bunraku.studio.projects import unpack_project
 from bunraku.studio.store import NotThere, Store
 
@@ -98,23 +98,26 @@ class State:
 
     def open(self, name: str, file: str, again: bool = False) -> dict[str, Any]:
         """Queue the opening of a character by its id and its file, relative to its folder, `again` where what was
-        guessed still holds. Errors are those of `Jobs.submit`.
+        guessed still holds. One that was open before is opened at once, and takes of it that are in work are made
+        afterwards. Errors are those of `Jobs.submit`.
         """
         record = self.change("characters", name, file=file, state="opening", error="")
         params = {"character": name, "file": file, "settings": record["settings"], "again": again}
-        job = self.jobs.submit("open", f"open {record['name']}", params, {"character": name, "opens": name})
+        known, about = record["version"] > 0, About(character=name, opens=name)
+        overtakes = name if known else None
+        job = self.jobs.submit("open", f"open {record['name']}", params, about, first=known, overtakes=overtakes)
         return {"character": record, "job": job["id"]}
 
     def find_out(self, name: str) -> None:
         """Queue, for quiet times, what takes longer to find of a character."""
         about: About = {"found": name}
-        self.jobs.submit("find-out", "look at the character", {"character": name}, about, passing=True, later=True)
+        self.jobs.submit("find-out", "look at the character", {"character": name}, about, passing=True)
 
     def lay_chains(self, name: str) -> None:
         """Queue, for quiet times, the chains of a character's hair and clothes, unless they are queued already."""
         about: About = {"laid": name}
         if not any(job["state"] == "waiting" and job["about"].get("laid") == name for job in self.jobs.all()):
-            self.jobs.submit("lay-chains", "lay chains of bones", {"character": name}, about, passing=True, later=True)
+            self.jobs.submit("lay-chains", "lay chains of bones", {"character": name}, about, passing=True)
 
     def drop(self, kind: str, name: str) -> None:
         """Remove a thing and tell so."""
@@ -210,12 +213,3 @@ class State:
                 self.store.note("exports", about["export"], state="done")
             else:
                 self.store.drop("exports", about["export"])
-
-    def busy(self, name: str) -> bool:
-        """Whether a job is waiting or running that is about a thing, and not just being taken in."""
-        return any(
-            job["state"] in OPEN_STATES
-            and job["id"] != self.jobs.ending
-            and name in (job["about"].get("character"), *job["about"].get("takes", ()))
-            for job in self.jobs.all()
-        )

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import _thread
 import errno
 import os
 import re
 import signal
 import sys
+import threading
 import time
+from contextlib import suppress
 from multiprocessing.connection import Connection
+from types import FrameType
 from typing import Any
 
 from bunraku.errors import FULL_DISK, BunrakuError, sentence_of
@@ -35,15 +39,47 @@ SECONDS_APART = 0.1
 """Between two messages of progress; chosen by eye."""
 
 
-class Cancelled(Exception):
+AGAIN = 0.02
+"""Seconds after which a task is stopped again where it could not be, as it was importing a module; chosen by eye."""
+
+
+class Cancelled(BaseException):
     """The job was cancelled."""
+
+
+class Stop:
+    """Stops the task that runs, wherever it is. The bell brings the ids of tasks that are to stop."""
+
+    def __init__(self, bell: Connection) -> None:
+        self.running = self._asked = ""
+        self._bell = bell
+        signal.signal(signal.SIGINT, self._interrupted)  # Ctrl-C is for the server, which ends this process
+        threading.Thread(target=self._listen, name="bell", daemon=True).start()
+
+    def _listen(self) -> None:
+        with suppress(EOFError, OSError):
+            while True:
+                self._asked = self._bell.recv()
+                while self._asked == self.running:
+                    _thread.interrupt_main()
+                    time.sleep(AGAIN)
+
+    def _interrupted(self, number: int, frame: FrameType | None) -> None:
+        if not self.running or self.running != self._asked:
+            return
+        while frame is not None:
+            if frame.f_code.co_filename.startswith("<frozen importlib"):
+                return  # a module that is imported by half cannot be imported again
+            frame = frame.f_back
+        self.running = ""
+        raise Cancelled
 
 
 def work(folder: str, pipe: Connection, bell: Connection) -> None:
     """Run tasks until the other end of the pipe is gone. The pipe brings (id, task, arguments) and takes (id, what,
     said); the bell brings the id of a task that is to stop.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the server, which ends this one
+    stop = Stop(bell)
     parent = os.getppid()
     from bunraku.studio.tasks import run_task
     from bunraku.studio.workspace import Workspace
@@ -63,9 +99,6 @@ def work(folder: str, pipe: Connection, bell: Connection) -> None:
 
         def report(stage: str, done: float, name: str = name) -> None:
             nonlocal sent
-            while bell.poll():
-                if bell.recv() == name:
-                    raise Cancelled
             now = time.monotonic()
             if now - sent > SECONDS_APART:
                 sent = now
@@ -74,14 +107,17 @@ def work(folder: str, pipe: Connection, bell: Connection) -> None:
         def partly(said: dict[str, object], name: str = name) -> None:
             pipe.send((name, "partly", said))
 
+        message: tuple[str, str, dict[str, Any]]
         try:
-            report("start", 0.0)
-            said = run_task(workspace, task, arguments, report, partly)
-            message: tuple[str, str, dict[str, Any]] = (name, "done", said)
+            stop.running = name
+            try:
+                report("start", 0.0)
+                message = (name, "done", run_task(workspace, task, arguments, report, partly))
+            except Exception as error:
+                message = (name, "failed", _explained(error))
+            stop.running = ""
         except Cancelled:
             message = (name, "cancelled", {})
-        except Exception as error:
-            message = (name, "failed", _explained(error))
         try:
             pipe.send(message)
         except OSError:

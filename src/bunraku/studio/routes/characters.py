@@ -99,8 +99,8 @@ def character(request: Request, form: CharacterForm) -> Any:
     if settings == old and record["state"] in ("ready", "opening"):
         return record
     Settings(**settings)  # refuses axes that do not go together
-    if state.busy(name):
-        raise OptionError("something is being made of this character; wait for it, or cancel it")
+    if record["state"] == "opening":
+        raise OptionError("this character is being opened; wait for it, or cancel it")
     state.change("characters", name, settings=settings)
     opened = state.open(name, record["file"])
     return JSONResponse(opened, 202)
@@ -115,8 +115,8 @@ def body(request: Request, form: Corrections | dict[str, Any]) -> Any:
     record = state.store.get("characters", name)
     file = state.store.folder_of("characters", name) / record["file"]
     said = form if isinstance(form, Corrections) else Corrections()
-    if state.busy(name):
-        raise OptionError("something is being made of this character; wait for it, or cancel it")
+    if record["state"] == "opening":
+        raise OptionError("this character is being opened; wait for it, or cancel it")
     old = read_corrections(file) or Corrections()
     if said == Corrections():
         file.with_name(f"{file.stem}{SUFFIX}").unlink(missing_ok=True)
