@@ -7,7 +7,7 @@ import { Apparel } from "./apparel";
 import { bytes } from "./api";
 import { Correct } from "./correct";
 import { Legend, Parts } from "./parts";
-import { about, attempt, change, character, characters, colouring, correcting, doc, running, unfolded, weightOf } from "./state";
+import { about, attempt, change, character, characters, colouring, correcting, doc, unfolded, weightOf } from "./state";
 import { Thumbs } from "./thumbs";
 import type { Character } from "./types";
 
@@ -44,7 +44,7 @@ function axis(name: string): string {
 function Chips({ one }: { one: Character }) {
   const chips: preact.ComponentChildren[] = [];
   const { axes, unit, settings } = one;
-  const free = running.value.length === 0;
+  const free = one.state === "ready";
   if (axes?.other && !one.sample && (axes.sure < 0.97 || settings.up !== "auto")) {
     const [up, front] = axes.other;
     chips.push(
@@ -107,7 +107,7 @@ function Fronts({ one }: { one: Character }) {
         <button
           key={number}
           class="card"
-          disabled={running.value.length > 0}
+          disabled={one.state !== "ready"}
           onClick={() => void repair(one, { up: axes.up, front: fronts[number] ?? axes.front })}
         >
           <img src={view} alt={`seen with ${axis(fronts[number] ?? "")} ahead`} />
@@ -119,7 +119,7 @@ function Fronts({ one }: { one: Character }) {
 }
 
 function Fit({ one }: { one: Character }) {
-  const free = running.value.length === 0;
+  const free = one.state === "ready";
   const choice = (name: "up" | "front" | "unit", options: string[]) => (
     <label class="field">
       <span>{name}</span>

@@ -98,8 +98,10 @@ export function poseBones(clip: Clip, bones: readonly Bone[], time: number): voi
   }
 }
 
-/** Where the root is over the ground at a time [s], smoothed over half a second, for a camera that follows. */
-export function rootAt(clip: Clip, time: number): [number, number] {
+/** How far the root is over the ground from its place at rest at a time [s], smoothed over half a second, for a camera that
+ * follows.
+ */
+export function wentTo(clip: Clip, rest: Vector3 | undefined, time: number): [number, number] {
   const reach = Math.max(1, Math.round(clip.fps * 0.5));
   const middle = Math.min(Math.max(Math.round(time * clip.fps), 0), clip.frames - 1);
   let x = 0;
@@ -112,5 +114,5 @@ export function rootAt(clip: Clip, time: number): [number, number] {
     z += weight * (clip.translations[(inside * clip.joints + clip.root) * 3 + 2] ?? 0);
     total += weight;
   }
-  return [x / total, z / total];
+  return [x / total - (rest?.x ?? 0), z / total - (rest?.z ?? 0)];
 }

@@ -23,6 +23,8 @@ export interface Model {
   key: string;
   group: Group;
   bones: Bone[];
+  /** Where each bone is at rest in its parent. */
+  places: Vector3[];
   skins: SkinnedMesh[];
   plain: Map<SkinnedMesh, Material | Material[]>;
   /** Which mesh and primitive of the file each is: "0:1". */
@@ -86,7 +88,8 @@ export async function loadModel(key: string, data: ArrayBuffer, springy = false)
   const told = found.userData["springs"] as SpringDocument | undefined;
   const numbers = new Map(bones.map((bone, number) => [found.parser.associations.get(bone)?.nodes, number]));
   const springs = springy && told?.springs ? new Springs(bones, (node) => numbers.get(node) ?? -1, told) : null;
-  return { key, group: found.scene, bones, skins, plain, primitives, bare, springs };
+  const places = bones.map((bone) => bone.position.clone());
+  return { key, group: found.scene, bones, places, skins, plain, primitives, bare, springs };
 }
 
 /** Hues far apart for neighbouring numbers, by the golden angle. */

@@ -1,7 +1,7 @@
 // Small pictures of clips on the character, drawn by one renderer as strips of moments, and of the character from four sides.
 
 import { Color, DirectionalLight, HemisphereLight, PerspectiveCamera, Scene, Vector3, WebGLRenderer } from "three";
-import { rootAt, type Clip } from "./clip";
+import { wentTo, type Clip } from "./clip";
 import { dispose, loadModel, pose, type Model } from "./model";
 
 export const WIDE = 144;
@@ -65,7 +65,7 @@ export class Thumbs {
     for (let frame = 0; frame < FRAMES; frame += 1) {
       const time = (clip.seconds * (frame + 0.5)) / FRAMES;
       pose(this.model, clip, time);
-      const [x, z] = rootAt(clip, time);
+      const [x, z] = wentTo(clip, this.model.places[clip.root], time);
       const target = new Vector3(this.middle.x + x, this.middle.y, this.middle.z + z);
       this.camera.position.set(0.52, 0.22, 0.9).normalize().multiplyScalar(this.size * 2.7).add(target);
       this.camera.lookAt(target);

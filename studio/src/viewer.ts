@@ -25,7 +25,7 @@ import {
   WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
-import { rootAt, type Clip } from "./clip";
+import { wentTo, type Clip } from "./clip";
 import { Ground, LOOKS } from "./ground";
 import { carried, pose, rest, rim, swing, type Model } from "./model";
 import type { Strand } from "./skeleton";
@@ -130,6 +130,7 @@ export class Viewer {
   private stroke: [number, number][] = [];
   private readonly ray = new Raycaster();
   private size = 1;
+  private readonly place = new Vector3(); // the middle of the character at rest
   private covered: [number, number] = [0, 0];
   private shape = 1; // width over height of the narrowest pane that holds the character at the camera's distance
 
@@ -238,9 +239,10 @@ export class Viewer {
     const rise = 0.2;
     this.camera.near = this.size / 100;
     this.camera.far = this.size * 300;
+    this.place.copy(middle);
     const [x, z] = this.root();
     this.followed = [x, z];
-    this.controls.target.set(middle.x + x, middle.y - 0.07 * (high[1] - low[1]), middle.z + z); // room for the bar below its feet
+    this.controls.target.set(x, middle.y - 0.07 * (high[1] - low[1]), z); // room for the bar below its feet
     this.camera.position
       .set(Math.sin(yaw) * Math.cos(rise), Math.sin(rise), Math.cos(yaw) * Math.cos(rise))
       .multiplyScalar(away)
@@ -264,8 +266,10 @@ export class Viewer {
     this.controls.update();
   }
 
+  /** Where a character is over the ground. */
   private root(pane = this.panes[0]): [number, number] {
-    return pane?.clip ? rootAt(pane.clip, this.time) : [0, 0];
+    const [x, z] = pane?.clip ? wentTo(pane.clip, pane.model.places[pane.clip.root], this.time) : [0, 0];
+    return [this.place.x + x, this.place.z + z];
   }
 
   show(panes: Pane[]): void {

@@ -24,7 +24,7 @@ function model(places: number[]): Model {
   const skin = new SkinnedMesh(geometry, new MeshBasicMaterial());
   skin.bind(new Skeleton([new Bone()]));
   return {
-    key: "", group: new Group(), bones: [], skins: [skin], plain: new Map(), primitives: new Map([[skin, "0:0"]]), bare: new Map(),
+    key: "", group: new Group(), bones: [], places: [], skins: [skin], plain: new Map(), primitives: new Map([[skin, "0:0"]]), bare: new Map(),
     springs: null,
   };
 }
