@@ -261,7 +261,7 @@ def test_a_hand_is_pinned_and_a_path_is_typed_without_a_pointer(page):
 
 
 def vase(rings=24, sides=24):
-    """An OBJ of a body that is the same from all sides, so that nobody can be sure of its front, far from the origin."""
+    """An OBJ of a body that is the same from all sides, far from the origin, whose front nobody can be sure of."""
     radii = 0.3 + 0.15 * np.sin(np.linspace(0, 6, rings))
     radii[[0, -1]] = 0.01
     angles = np.arange(sides) / sides * 2 * np.pi
