@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
+from bunraku.anatomy.legs import Leg
 from bunraku.core.animation import Animation, RigAnimation
 from bunraku.files import load_character
 from bunraku.language.parse import parse
 from bunraku.pipelines.animator import Animator
 from bunraku.pipelines.requests import Request, Sampling
 from bunraku.retarget.fit import Stages
-from bunraku.retarget.stages.animals import pairs_of
 
 ANIMALS = (
     "Alpaca", "Bull", "Cow", "Deer", "Donkey", "Fox", "Horse", "Horse_White", "Husky", "ShibaInu", "Stag", "Wolf",
@@ -56,6 +56,18 @@ class Pair:
     def ratio(self) -> float:
         """The left one's swing over the right one's."""
         return self.left / max(self.right, 1e-9)
+
+
+def pairs_of(legs: list[Leg]) -> list[tuple[Leg, Leg]]:
+    """Legs of the left and of the right side of a body that faces +Z that meet it side by side, the foremost first."""
+    left, found = sorted((leg for leg in legs if leg.joints[0][0] > 0), key=lambda leg: -leg.joints[0][2]), []
+    right = [leg for leg in legs if leg.joints[0][0] <= 0]
+    for one in left:
+        if right:
+            other = min(right, key=lambda leg: abs(leg.joints[0][2] - one.joints[0][2]))
+            right = [leg for leg in right if leg is not other]
+            found.append((one, other))
+    return found
 
 
 def gait_of(animation: Animation | RigAnimation, anatomy: Anatomy) -> list[Pair]:

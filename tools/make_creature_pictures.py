@@ -2,8 +2,8 @@
 docs/pictures, at most 300 kB each.
 
 `captured` puts the walk and the gallop of animals, written as captured skeletons, on the sample dog and on others;
-`gaits` shows a spider's legs; `ways` bodies that fly, slither, swim and crawl; `support` what a dog does when it is
-told to bow; `page` what `bunraku rig --preview` says.
+`gaits` shows a spider's legs; `ways` bodies that fly, slither, swim and crawl; `page` what
+`bunraku rig --preview` says.
 """
 
 from __future__ import annotations
@@ -16,14 +16,11 @@ from pathlib import Path
 import numpy as np
 
 import bunraku
-from bunraku.anatomy.anatomy import Anatomy
 from bunraku.cli import main as bunraku_command
 from bunraku.core.animation import Animation
 from bunraku.files import load_animation, sample_character, save_character
 from bunraku.pipelines.animate import animate, rig
-from bunraku.pipelines.apply import apply_motion
 from bunraku.render import contact_sheet, render_animation
-from bunraku.retarget.fit import Stages
 from bunraku.retarget.rig_parts import RigParts
 from bunraku_lab.evaluation.transfer.character import facing_character
 from bunraku_lab.evaluation.transfer.quadrupeds import captured_animal
@@ -93,20 +90,6 @@ def ways(characters: Path) -> None:
     contact_sheet(images, labels, OUT / "creatures-ways.png", columns=SHOWN, title="each in its own way")
 
 
-def support(characters: Path) -> None:
-    """A dog that is told to bow, without the stage and with it."""
-    dog = sample_character("dog")
-    handles = rig(dog)
-    anatomy = Anatomy.of(dog, handles)
-    bow = animate(dog, "bows", seconds=3, seed=1, handles=handles, candidates=1)
-    assert bow.reference is not None
-    images: list[np.ndarray] = []
-    for stages in (Stages(shape=True, support=False), Stages(shape=True)):
-        images += frames(apply_motion(bow.reference, anatomy, stages=stages), 5)
-    labels = ["without support"] + [""] * 4 + ["with support"] + [""] * 4
-    contact_sheet(images, labels, OUT / "creatures-support.png", columns=5, title="a dog is told to bow")
-
-
 def page(characters: Path) -> None:
     """What was decided about the sample dog."""
     path = OUT / "dog.glb"
@@ -123,7 +106,6 @@ PICTURES: dict[str, Callable[[Path], None]] = {
     "captured": captured,
     "gaits": gaits,
     "ways": ways,
-    "support": support,
     "page": page,
 }
 

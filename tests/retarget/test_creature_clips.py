@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial import Delaunay
+from scipy.spatial.transform import Rotation
 
 from bunraku.anatomy.anatomy import reference_anatomy
 from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES, HANDLE_PARENTS
@@ -23,7 +25,6 @@ from bunraku.retarget.creature_clips import (
     creature_motion,
     own_clips,
     packed_clip,
-    shipped_clips,
 )
 from bunraku.retarget.creatures import CreatureMotion, fit_body
 from bunraku.retarget.fit import Stages
@@ -85,14 +86,24 @@ def test_a_meal_goes_on_and_a_death_is_held_at_its_end(monkeypatch, dog):
     assert creature_motion(dances, dog.anatomy, seed=0) is None
 
 
-def test_a_dog_eats_on_its_feet_and_lies_down_to_die(dog):
-    assert {clip.action for clip in shipped_clips()} >= {"attack", "bite", "headbutt", "kick", "eat", "death"}
-    requests = [Request(parse(sentence, 3.0)) for sentence in ("a dog eats", "a dog dies")]
-    meal, death = (moved.vertices() for moved in Animator.shipped().each(dog, requests))
-    height = dog.character.height
-    assert np.ptp(meal[..., 1].max(axis=1)) < 0.4 * height
-    assert death[-1][:, 1].max() < 0.75 * height < meal[:, :, 1].max(axis=1).min()
-    assert abs(death[-1][:, 1].min() - dog.character.vertices[:, 1].min()) < 0.03 * height
+@pytest.mark.parametrize("name", ["dog", "dragon", "mushroom"])
+def test_any_creature_bows_to_eat_leaps_to_attack_and_lies_at_rest_when_it_is_dead(name):
+    body = Animator.shipped().body(sample_character(name), Request(parse("it eats", 4.0)))
+    requests = [Request(parse(sentence, 4.0)) for sentence in ("it eats", "it attacks", "it dies")]
+    meal, strike, death = (moved.vertices() for moved in Animator.shipped().each(body, requests))
+    size, floor = np.ptp(body.character.vertices, axis=0), body.character.vertices[:, 1].min()
+    head = body.anatomy.handles.weights[:, HANDLE_NAMES.index("head")] > 0.5
+    low = meal[:, head, 1].min(axis=1) - floor
+    assert low.min() < (0.1 * size[1] if name == "dog" else low[0] - 0.1 * size[1])
+    assert np.ptp(strike.mean(axis=1)[:, 2]) > 0.2 * size[2]
+    dead = death[-1].astype(float)
+    assert abs(dead[:, 1].min() - floor) < 0.01 * size[1]
+    up, _ = Rotation.align_vectors(
+        dead - dead.mean(axis=0), body.character.vertices - body.character.vertices.mean(axis=0)
+    )
+    assert up.as_matrix()[1, 1] < 0.5  # it does not lie as it stood
+    support = Delaunay(dead[dead[:, 1] < floor + 0.05 * size[1]][:, [0, 2]])
+    assert support.find_simplex(body.character.areas @ dead[:, [0, 2]] / body.character.areas.sum()) >= 0
 
 
 def stepping(frames=21):

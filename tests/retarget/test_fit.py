@@ -297,7 +297,7 @@ def test_what_was_made_for_a_kind_a_height_and_a_softness_is_looked_after_apart(
         assert applied == [kind, kind, not kind]
         loose = stages["attach"](fitting, anatomy).translations[:, HANDLE_NAMES.index("spine3")]
         assert np.linalg.norm(loose, axis=1).max() == pytest.approx((0.3 if soft else 0.05) * anatomy.scale, rel=1e-3)
-        low = fit_motion(motion, anatomy, Stages(smooth=False, feet=False, floor=False, support=False))
+        low = fit_motion(motion, anatomy, Stages(smooth=False, feet=False, floor=False))
         assert (low.root_translation[:, 1].max() < -0.1 * anatomy.scale) == height  # others stand as the reference does
     own = plain.of_own_body()
     assert own.own_kind and own.own_height and own.soft and not own.of_own_body(False).soft

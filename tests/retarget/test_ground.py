@@ -12,26 +12,23 @@ from gltf_files import CUBE_FACES
 from scipy.spatial.transform import Rotation
 
 from bunraku.anatomy.anatomy import Anatomy, decimated, reference_anatomy
-from bunraku.anatomy.joints import attach_joints, find_joints, reference_joints
+from bunraku.anatomy.joints import find_joints, reference_joints
 from bunraku.anatomy.legs import find_legs
 from bunraku.anatomy.rest_pose import upright
 from bunraku.core.animation import Animation
 from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_NAMES, JOINT_COUNT, JOINT_NAMES
 from bunraku.core.body.reference import handle_positions, reference_body
 from bunraku.core.character import Character, Handles
-from bunraku.core.geometry.rotations import matrix_from_axis_angle, matrix_y
+from bunraku.core.geometry.rotations import matrix_from_axis_angle
 from bunraku.core.geometry.surface import vertex_areas
 from bunraku.core.motion import HandleMotion, SkeletalMotion
 from bunraku.retarget.fit import Stages, fit_motion
-from bunraku.retarget.rig_parts import RigParts
-from bunraku.retarget.stages.animals import Support
 from bunraku.retarget.stages.feet import Feet
 from bunraku.retarget.stages.ground import Ground, Soles, enough
 from bunraku.retarget.stages.shape import Smooth
 from bunraku.retarget.stages.stage import sole_points, with_feet_moved
 from bunraku_lab.datasets.motions.build import handle_motion_of_body
 from bunraku_lab.datasets.motions.clips import load_clip
-from bunraku_lab.synthetic.samples import make_sample
 
 LEFT, RIGHT = HANDLE_NAMES.index("left_hip"), HANDLE_NAMES.index("right_hip")
 
@@ -420,72 +417,3 @@ def test_long_feet_are_held_flatter_and_do_not_sink():
         low = sole_points(leg, anatomy, world)[..., 1].min() - anatomy.floor
         assert (low < -1.05 * Soles().sinks * leg.length) == sunk
     np.testing.assert_array_equal(on.root_translation, off.root_translation)
-
-
-FPS = 20.0
-
-
-@pytest.fixture(scope="module")
-def dog():
-    character = make_sample("dog", rigged=True)
-    parts = RigParts.of(character)
-    return character, parts.handles, parts.joints
-
-
-def folded(dog, seconds: float, pitch: float = 0.0, heading: float = 0.0, part: str = "shoulder") -> HandleMotion:
-    """Four seconds on the spot, forelegs (or hind legs) stretched ahead for some of them."""
-    _, handles, joints = dog
-    frames = round(4 * FPS)
-    angles = np.zeros((frames, len(HANDLE_NAMES), 3))
-    for side in ("left", "right"):
-        for name in (part, *(("elbow", "wrist") if part == "shoulder" else ("knee", "ankle", "foot"))):
-            angles[20 : 20 + round(seconds * FPS), H[f"{side}_{name}"], 0] = -1.2
-    rotations, translations = attach_joints(matrix_from_axis_angle(angles), handles.positions, joints)
-    tilt = np.zeros((frames, 3))
-    tilt[20 : 20 + round(seconds * FPS), 0] = -pitch
-    root = matrix_y(np.array(heading)) @ matrix_from_axis_angle(tilt)
-    path = np.zeros((frames, 3))
-    return HandleMotion(translations, rotations, path, root, FPS)
-
-
-def named(dog):
-    """Its anatomy, with the joints of its rig and no rotations of its rest pose."""
-    character, handles, joints = dog
-    return Anatomy.of(character, handles, (np.tile(np.eye(3), (len(HANDLE_NAMES), 1, 1)), joints))
-
-
-def low(dog, motion, front: bool):
-    """Height of the lowest foot of one end, over the leg's length, shape (N,)."""
-    character, handles, _ = dog
-    anatomy = named(dog)
-    floor, world = float(character.vertices[:, 1].min()), motion.transforms(handles.positions)
-    arms = {H["left_shoulder"], H["right_shoulder"]}
-    own = [leg for leg in anatomy.legs if (leg.upper in arms) == front]
-    assert len(own) == 2
-    heights = [sole_points(leg, anatomy, world)[..., 1].min(axis=1) - floor for leg in own]
-    return np.max(heights, axis=0) / own[0].length
-
-
-def kept(dog, motion):
-    anatomy = named(dog)
-    return Support().changed(motion, anatomy), Support().unsupported(motion, anatomy)
-
-
-@pytest.mark.parametrize("heading", [0.0, 2.5])
-@pytest.mark.parametrize("part", ["shoulder", "hip"])
-def test_folded_legs_are_put_down(dog, heading, part):
-    motion = folded(dog, 2.0, heading=heading, part=part)
-    front = part == "shoulder"
-    assert low(dog, motion, front)[25:55].min() > 0.2
-    done, wanting = kept(dog, motion)
-    assert wanting[:, int(front)].sum() == 40 and not wanting[:, int(not front)].any()
-    assert low(dog, done, front)[26:54].max() < 0.05
-    assert np.allclose(low(dog, done, not front), low(dog, motion, not front), atol=1e-6)
-    before, after = (some.transforms(dog[1].positions)[:10] for some in (motion, done))
-    assert np.allclose(before, after, atol=1e-4)  # what stood stays as it was
-
-
-def test_a_leap_a_blow_and_rearing_up_are_meant(dog):
-    for motion in (folded(dog, Support().long - 0.1), folded(dog, 2.0, pitch=0.6)):
-        done, wanting = kept(dog, motion)
-        assert not wanting.any() and done is motion

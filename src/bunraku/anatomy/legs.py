@@ -341,8 +341,8 @@ class BodyPlan:
 
     @property
     def swims(self) -> bool:
-        """Whether it moves through water as fish do."""
-        return self._tailed and not self.slithers
+        """Whether it moves through water as fish do: what stands upright is a figurine."""
+        return self._tailed and not self.slithers and not self.upright
 
     @property
     def _tailed(self) -> bool:

@@ -249,9 +249,11 @@ def _turn(frames: Sequence[Frame]) -> Turn | None:
     return Turn(int("left" in sides) - int("right" in sides), least, most)
 
 
-KINDS = ("person", "two legs", "four legs", "many legs", "no legs", "snake", "fish")
-"""What bodies stand and move with: arms and two legs, legs alone, none; a long tail on the ground, one in water."""
-INSTEAD = {"snake": "slithers", "fish": "swims", "no legs": "glides, bends and bobs"}
+KINDS = ("person", "two legs", "four legs", "many legs", "no legs", "snake", "fish", "bird in flight")
+"""What bodies stand and move with: arms and two legs, legs alone, none; a long tail on the ground, one in water, wings
+alone.
+"""
+INSTEAD = {"snake": "slithers", "fish": "swims", "no legs": "hops", "bird in flight": "flies"}
 """What bodies without legs do where a sentence says walk."""
 
 

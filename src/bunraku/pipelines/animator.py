@@ -191,7 +191,7 @@ class Animator:
             numbers = range(start, min(start + AT_ONCE, len(requests)))
             if any(number in numbers for number in wanted):
                 seeds = {number: requests[number].sampling.seed for number in numbers}
-                creatures = {} if as_people or request.constraints else _after_animals(sentences, seeds, body)
+                creatures = {} if request.constraints else _after_animals(sentences, seeds, body)
                 left = [number for number in numbers if number not in creatures]
                 motions: dict[int, HandleMotion] = {}
                 if any(number in left for number in wanted):

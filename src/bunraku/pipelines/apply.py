@@ -203,7 +203,7 @@ def body_kind(plan: BodyPlan) -> str:
     """The kind of a body, as `language.bodies` has them."""
     if plan.legs:
         return plan.kind
-    return "snake" if plan.slithers else "fish" if plan.swims else "no legs"
+    return "snake" if plan.slithers else "fish" if plan.swims else "bird in flight" if plan.wings else "no legs"
 
 
 def adapt_sentence(sentence: Sentence, plan: BodyPlan) -> Sentence:
@@ -214,7 +214,7 @@ def adapt_sentence(sentence: Sentence, plan: BodyPlan) -> Sentence:
 
 def moves_as_people(plan: BodyPlan) -> bool:
     """Whether a body moves as people do."""
-    return plan.upright and not plan.swims
+    return plan.upright
 
 
 def adapt_to_body(sentences: Sequence[Sentence], anatomy: Anatomy) -> tuple[list[Sentence], bool]:

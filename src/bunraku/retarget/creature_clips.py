@@ -59,9 +59,7 @@ NAMED, ALIKE = 2.0, 1.0
 height; chosen by eye on sheets."""
 LESS = 0.3  # what each place counts by which an action stands behind the one that is asked for; chosen by eye
 _MOVES = (("stay", "lie", ""), ("step", "run"))  # how a body moves for which clips are looked up; steps last
-TRIED = 8  # of the clips that suit a body the most, for how low its head comes in them
-MOUTH = 3.0  # what it counts against a meal that the head stays over the ground, over the height; chosen by eye
-UPWARDS = 0.85  # height of the back over the root from which on a body lies on its belly, as a cosine; chosen by eye
+GOALS = "eat", "attack", "death"  # what a body does as a whole, with or without a clip (`locomotion.reached`)
 SPREAD = 0.2  # scale of the Gumbel numbers that make seeds differ; chosen by eye
 PACES = 0.85, 1.15  # how fast a clip is done, for seeds that take the same one to differ; chosen by eye on a dragon
 _PELVIS, _HEAD = HANDLE_NAMES.index("pelvis"), HANDLE_NAMES.index("head")
@@ -178,7 +176,7 @@ def creature_action(text: str) -> str:
 
 
 def shown_by() -> dict[str, list[str]]:
-    """The actions whose clips show an action, the best first; those of travel are the generator's."""
+    """The actions whose clips show an action, the best first."""
     table: dict[str, list[str]] = caption_table("creature_captions.json")["shown by"]
     return table
 
@@ -265,22 +263,35 @@ def creature_motion(
     words = {*re.findall(r"[a-z]+", f"{Path(anatomy.character.name).stem} {sentence.english}".lower())}
     random = np.random.default_rng(seed % 2**63)
     taken: tuple[HandleMotion, np.ndarray] | None = None
+    goals: list[tuple[str, float, float]] = []
+    plan = anatomy.plan
     for clause in sentence.clauses:
         action = creature_action(clause.text)
         if clause.moves not in _MOVES[action in GAITS] or clause.turn is not None or clause.cues - {"forward", *HURRY}:
             return None
-        clip = _chosen(shown_by().get(action, []), anatomy, words, random, own)
-        clip = clip or _chosen(shown_by().get(f"{action}, else", []), anatomy, words, random, own)
-        if clip is None:
+        shown = shown_by().get(action, [])
+        goal = next((name for name in GOALS if name in shown), "") if plan.kind != "person" or plan.wings else ""
+        if not goal and plan.upright:  # it steps as people do
             return None
-        frames = max(round(clause.seconds * FPS), 1)
-        if clip.action in GAITS:
+        frames, stiff = max(round(clause.seconds * FPS), 1), not plan.legs and (plan.upright or plan.wings)
+        clip = None if stiff else _chosen(shown, anatomy, words, random, own)
+        if clip is None and not goal:
+            return None
+        if goal:
+            start = 0.0 if taken is None else len(taken[1]) / FPS
+            goals.append((goal, start, start + frames / FPS))
+        if clip is None:
+            still = np.tile(np.eye(3), (frames, 1, 1))
+            turns = np.tile(np.eye(3), (frames, HANDLE_COUNT, 1, 1))
+            at_rest = HandleMotion(np.zeros((frames, HANDLE_COUNT, 3)), turns, np.zeros((frames, 3)), still, FPS)
+            part = at_rest.of_own_body(), np.zeros(frames)
+        elif clip.action in GAITS:
             hurry = [factor for cue, factor in HURRY.items() if cue in clause.cues]
             part = _stepping(clip, frames, random.uniform(*PACES) * float(np.prod(hurry)), random, anatomy)
         else:
             part = _lasting(clip, frames, random)
         taken = part if taken is None else _followed(*taken, *part)
-    return None if taken is None else CreatureMotion(taken[0], anatomy.plan, taken[1])
+    return None if taken is None else CreatureMotion(taken[0], plan, taken[1], goals=tuple(goals))
 
 
 def _chosen(
@@ -290,12 +301,9 @@ def _chosen(
     shape, kind, offered = body_shape(anatomy), _kind(anatomy.plan), []
     for clip in (*shipped_clips(), *(own_clips(own, tuple(wanted)) if own and wanted else ())):
         far = float(np.hypot(*np.subtract(clip.shape, shape)))
-        if clip.action in wanted and clip.body == kind and not _lies_on_wings(clip, anatomy):
+        if clip.action in wanted and clip.body == kind:
             score = _likeness(clip, words) - LESS * wanted.index(clip.action) - far + SPREAD * random.gumbel()
             offered.append((score, clip))
-    offered = sorted(offered, key=lambda pair: -pair[0])[:TRIED]
-    if wanted == ["eat"]:
-        offered = [(score - MOUTH * _mouth(clip, anatomy), clip) for score, clip in offered]
     return max(offered, key=lambda pair: pair[0])[1] if offered else None
 
 
@@ -303,25 +311,7 @@ def _kind(plan: BodyPlan) -> str:
     """The kind of a body whose clips are alike; those without legs by how they move."""
     if plan.legs:
         return plan.kind
-    fish = plan.swims and not plan.upright
-    return "snake" if plan.slithers else "fish" if fish else "wings" if plan.wings else plan.kind
-
-
-def _lies_on_wings(clip: CreatureClip, anatomy: Anatomy) -> bool:
-    """Whether a death of a body without wings ends on its side, where one with wings would lie on one of them."""
-    if clip.action != "death" or not anatomy.plan.wings or clip.animal == OWN:
-        return False
-    return bool(clip.unpacked[0].root_rotation[-1, 1, 1] < UPWARDS)
-
-
-def _mouth(clip: CreatureClip, anatomy: Anatomy) -> float:
-    """How high over the ground the lowest point of a body's head stays in a clip, over its height."""
-    body = anatomy.unturned
-    if not len(body.front):
-        return 0.0
-    motion = posed(clip.unpacked[0].take(slice(None, None, 4)), body)
-    lowest = body.reach_of(body.front).lowest(motion.transforms(body.handles.positions)).min()
-    return max(float(lowest) - body.floor, 0.0) / body.character.height
+    return "snake" if plan.slithers else "fish" if plan.swims else "wings" if plan.wings else plan.kind
 
 
 def _lasting(clip: CreatureClip, frames: int, random: np.random.Generator) -> tuple[HandleMotion, np.ndarray]:

@@ -23,10 +23,10 @@ from bunraku.core.geometry.rotations import Resampling, matrix_y, nearest_rotati
 from bunraku.core.motion import HandleMotion, SkeletalMotion, local_rotations, resample, resample_motion
 from bunraku.errors import MotionError
 from bunraku.retarget.fit import Stages, fit_motion
-from bunraku.retarget.locomotion import BEATS, in_air, wing_swing
+from bunraku.retarget.locomotion import BEATS, in_air, reached, wing_swing
 from bunraku.retarget.rig_parts import RigParts
 from bunraku.retarget.to_reference import bones_to_handles, motion_to_reference
-from bunraku.retarget.to_rig import fit_rig
+from bunraku.retarget.to_rig import fit_rig, on_bones, stiff
 
 WIDTH = 0.12  # of a bone, over its length
 STUB = 0.3  # length of what a joint without children carries, over the bone above it
@@ -248,6 +248,7 @@ class CreatureMotion:
     # Of a body that lies along its spine and walks on two legs: the same by way of the reference body, for characters
     # of other kinds.
     person: HandleMotion | None = None
+    goals: tuple[tuple[str, float, float], ...] = ()  # what is reached, and from when to when [s] (`reached`)
 
     def at(self, fps: float) -> CreatureMotion:
         """The same at another rate [1/s]."""
@@ -346,11 +347,15 @@ def fit_body(
             return fit_rig(source, body, stages)
         return Animation(body.character, body.handles, fit_motion(source, body, stages), source)
     check_plans(source.plan, anatomy.plan, anatomy.character.name, source.flies)
-    # which compare with a person, or make steps of a network even
-    stages = replace(stages, rest_pose=False, hands=False, swings=False)
+    # which compare with a person
+    stages = replace(stages, rest_pose=False, hands=False)
     # what flies, swims or slides keeps the height of its path
     heights = source.heights if source.plan.legs and not source.flies else None
+    own = isinstance(body, RigParts)
+    motion = stiff(source.motion) if own else source.motion
+    fitted = fit_motion(motion, anatomy, replace(stages, shape=stages.shape and not own), heights)
+    for goal in source.goals:
+        fitted = reached(fitted, anatomy.unturned, *goal)
     if isinstance(body, RigParts):
-        return replace(fit_rig(source.motion, body, stages, heights), reference=None)
-    fitted = fit_motion(source.motion, body, stages, heights)
+        return on_bones(body, fitted)
     return Animation(body.character, body.handles, fitted, motion_to_reference(fitted, body, own=True))

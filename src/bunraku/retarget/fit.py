@@ -13,7 +13,7 @@ import numpy as np
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.core.motion import HandleMotion
 from bunraku.retarget.stages import Stages
-from bunraku.retarget.stages.animals import Front, Gait, Support, Swings
+from bunraku.retarget.stages.animals import Front, Gait
 from bunraku.retarget.stages.feet import Feet
 from bunraku.retarget.stages.ground import Floor, Ground, Soles
 from bunraku.retarget.stages.hands import Hands, HandsClear
@@ -23,8 +23,8 @@ from bunraku.retarget.stages.stage import Fitting, Stage
 from bunraku.retarget.stages.trailing import Lag, Tail, TailClear
 
 STAGES: tuple[Stage, ...] = (
-    Smooth(), Gait(), Blocks(), RestPose(), Legless(), Fins(), Tail(), Front(), Swings(), Attach(), Shape(), Level(),
-    Ground(), Soles(), Support(), Feet(), Hands(), HandsClear(), Lag(), TailClear(), Floor(),
+    Smooth(), Gait(), Blocks(), RestPose(), Legless(), Fins(), Tail(), Front(), Attach(), Shape(), Level(),
+    Ground(), Soles(), Feet(), Hands(), HandsClear(), Lag(), TailClear(), Floor(),
 )  # fmt: skip
 """All stages, in the order in which they run."""
 _NAMED = {stage.name: stage for stage in STAGES}
@@ -39,7 +39,7 @@ def running(stages: Stages) -> tuple[Stage, ...]:
     return tuple([stage for stage in STAGES if on(stage.name)])
 
 
-POSING = running(Stages(smooth=False, ground=False, support=False, feet=False, hands_clear=False, floor=False))
+POSING = running(Stages(smooth=False, ground=False, feet=False, hands_clear=False, floor=False))
 """The stages that turn and join parts."""
 
 

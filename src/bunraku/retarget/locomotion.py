@@ -1,4 +1,4 @@
-"""How bodies fly, swim, slither and stay on the ground, whatever a generator made of it."""
+"""How bodies fly, swim, slither, stay on the ground, and reach it to eat and to die, whatever was drawn."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from bunraku.anatomy.anatomy import Anatomy, reference_anatomy
+from bunraku.anatomy.handles.limbs import LEGS, SIDES
 from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.body.reference import reference_body
 from bunraku.core.geometry.curves import gaussian, smooth_step
@@ -17,10 +19,13 @@ from bunraku.core.geometry.rotations import (
     matrix_from_axis_angle,
     matrix_slerp,
     matrix_y,
+    rotation_between,
 )
-from bunraku.core.motion import HandleMotion
+from bunraku.core.motion import HandleMotion, line_up
+from bunraku.core.skinning import skin
 from bunraku.retarget.fit import posed
 from bunraku.retarget.stages.ground import Ground
+from bunraku.retarget.stages.stage import with_feet_moved
 from bunraku.retarget.stages.trailing import Tail
 
 _LYING_LINE = [HANDLE_NAMES.index(name) for name in ("spine1", "spine2", "spine3", "tail", "tail_tip")]
@@ -63,7 +68,9 @@ WAVE = {"swim": 1.2, "slither": 0.9}  # waves in a second
 BENT = {"swim": 0.45, "slither": 0.7}  # how far the tip of a tail turns aside [rad]
 BENDS = 0.3  # a tail that swings through less than this does not bend [rad]
 SPEED = {"swim": 0.5, "slither": 0.3, "step": 0.3, "run": 0.6}
-"""Lengths of the body, along its longest axis, in a second; without legs it glides where others step or run."""
+"""Lengths of the body, along its longest axis, in a second; without legs it hops where others step or run."""
+HOPS = {"step": 1.5, "run": 2.5}  # hops in a second of a body without legs; chosen by eye on a figurine
+HOP = 0.08  # how high they are, over its height; chosen by eye on the same
 LASTS = 1.0
 """What changes more slowly than this is how a body is held in the water, and no swing [s]. Chosen by eye."""
 ROLLS = np.radians(12)  # how far a body that swims tilts at the most; chosen by eye on a tuna
@@ -122,7 +129,20 @@ def moved_so(motion: HandleMotion, locomotion: str, where: slice, anatomy: Anato
         motion = _upon_base(motion) if anatomy.upright else motion
         if locomotion in SPEED:
             motion = replace(motion, root_translation=_travelled(motion, locomotion, frames, anatomy))
-    return _grounded(motion, locomotion, frames, anatomy) if locomotion in AIR else motion
+    motion = _grounded(motion, locomotion, frames, anatomy) if locomotion in AIR else motion
+    return motion if anatomy.plan.legs or locomotion not in HOPS else _hopping(motion, locomotion, frames, anatomy)
+
+
+def _hopping(motion: HandleMotion, locomotion: str, frames: np.ndarray, anatomy: Anatomy) -> HandleMotion:
+    """The motion of a body without legs that gets ahead in hops, and stands still between them."""
+    path, seconds = motion.root_translation.astype(np.float64), (frames - frames[0]) / motion.fps
+    number, phase = np.divmod(seconds * HOPS[locomotion], 1)
+    gone = smooth_step(phase, 0.3, 1.0)
+    at = frames[0] + (number + gone) / HOPS[locomotion] * motion.fps
+    way = np.stack([np.interp(at, np.arange(len(path)), axis) for axis in path.T], axis=1)
+    way[:, 1] = path[frames, 1] + 4 * HOP * anatomy.mesh.height / anatomy.scale * gone * (1 - gone)
+    path[frames] = way
+    return replace(motion, root_translation=path)
 
 
 def in_air(motion: HandleMotion, frames: np.ndarray | None = None) -> HandleMotion:
@@ -303,3 +323,175 @@ def _attached(motion: HandleMotion, rotations: np.ndarray, **root: np.ndarray) -
     moved = motion.translations.astype(np.float64) - before + after
     moved[:, 0] = 0
     return motion.with_arrays({"rotations": rotations, "translations": moved, **root})
+
+
+BOW = {"neck": 70.0, "head": 30.0, "spine3": 12.0, "spine2": 8.0, "spine1": 8.0}
+"""How far parts of a body turn where its head goes to the ground [degrees]; chosen by eye on a horse, a hen and a
+box-shaped tiger."""
+KNEELS = 45.0  # how far the whole of it does; chosen by eye on the same
+FRACTIONS = np.linspace(-0.4, 1.0, 15)  # of a bow that are tried; below 0 a body rears
+FALLS = 0.3, 1.5  # when a body that dies begins and ends to fall [s]; chosen by eye on a cow and a hen
+SAGS = 50.0  # how far limbs, neck and tail of a dead body sink at the most [degrees]; chosen by eye on the same
+STRIKE = 1.4  # how long a strike takes [s]; chosen by eye on a fish and a stork
+LEAP = 0.35, 0.08  # how far ahead and up a body leaps with it, over its length; chosen by eye on the same
+TOUCHES = 0.02  # a part that is nearer to the ground is on it, over the height; chosen by eye on a horse
+_HANGS = ("neck", "head", "tail", *(f"{side}_{part}" for part in ("hip", "shoulder", "wing") for side in SIDES))
+_HIND = [*LEGS[0], *LEGS[1]]
+_DOWN = np.array([0.0, -1.0, 0.0])
+
+
+def reached(motion: HandleMotion, anatomy: Anatomy, goal: str, start: float, end: float) -> HandleMotion:
+    """A motion that is fitted to a character, in which it reaches a goal from `start` to `end` [s]: "eat", its head
+    comes down to the ground again and again; "attack", it rears, leaps ahead and strikes; "death", it falls over and
+    lies on the ground from then on.
+    """
+    seconds, length = np.arange(len(motion)) / motion.fps - start, end - start
+    if goal == "death":
+        return _lain(motion, anatomy, seconds, min(round(end * motion.fps), len(motion) - 1))
+    inside = smooth_step(seconds, 0, 0.3) * smooth_step(seconds, length, length - 0.3)
+    if goal == "eat":
+        down = smooth_step(seconds, 0.3, 1.1) * (0.85 + 0.15 * np.cos(2 * np.pi * seconds))
+        return _bowed(motion, anatomy, inside, down, False)
+    phase = np.mod(seconds, STRIKE)
+    out, back = smooth_step(phase, 0.45, 0.65), smooth_step(phase, 0.9, 1.15)
+    size = float(np.ptp(anatomy.mesh.vertices[anatomy.mesh.surface, 2]))
+    ahead = facing_and_tilt(motion.root_rotation, motion.fps)[0][:, :, 2]
+    path = motion.root_translation + (inside * (out - back) * LEAP[0] * size)[:, None] * ahead
+    path[:, 1] += inside * LEAP[1] * size * 4 * (out * (1 - out) + back * (1 - back))
+    rears = smooth_step(phase, 0, 0.35) * (1 - back)
+    return _bowed(replace(motion, root_translation=path), anatomy, inside * rears, 0.6 * out, True)
+
+
+def _bowed(motion: HandleMotion, anatomy: Anatomy, share: np.ndarray, down: np.ndarray, rears: bool) -> HandleMotion:
+    """The motion with the muzzle a share `down` (N,) of its way to the ground, from where it is held, or from higher up
+    where that is on the ground or the body `rears`; `share` (N,) says how much of that is done.
+    """
+    if not len(front := anatomy.front):
+        return motion
+    muzzle, near = [int(np.argmax(anatomy.mesh.vertices[front, 2]))], TOUCHES * anatomy.mesh.height
+    heights = []
+    for some in FRACTIONS:
+        world = _bow(motion, anatomy, np.full(len(motion), some)).transforms(anatomy.handles.positions)
+        points = skin(anatomy.mesh.vertices[front], anatomy.mesh_handles.weights[front], world)[..., 1]
+        heights.append(points[:, muzzle[0]] - np.minimum(points.min(axis=1), anatomy.floor))
+    low = np.array(heights) <= 3 * near
+    first = np.where(low.any(axis=0), low.argmax(axis=0), np.argmin(heights, axis=0))
+    held = FRACTIONS[0] if rears or heights[np.searchsorted(FRACTIONS, 0)][0] < 10 * near else 0.0
+    least = gaussian(np.maximum(FRACTIONS[first], 1.5 * abs(held) + held), 0.15 * motion.fps)
+    return _planted(_bow(motion, anatomy, share * (held + down * (least - held))), motion, anatomy)
+
+
+def _bow(motion: HandleMotion, anatomy: Anatomy, amount: np.ndarray) -> HandleMotion:
+    """The motion with the whole, the trunk, the neck and the head turned down by an amount (N,) of `BOW`; a head
+    without a neck does the part of both.
+    """
+    positions, present = anatomy.handles.positions, anatomy.joints.present
+    aside = facing_and_tilt(motion.root_rotation, motion.fps)[0][:, :, 0]
+    if anatomy.legs or anatomy.plan.swims:
+        tops = [leg for leg in anatomy.legs if int(anatomy.handles.played[leg.upper]) in _HIND] or anatomy.legs
+        middle = np.mean([leg.joints[0] for leg in tops] or positions[:1], axis=0)
+        tilt = np.radians(KNEELS) * np.clip(np.maximum(amount - 0.4, np.minimum(amount, 0)) / 0.6, -1, 1)
+        motion = _tilted(motion, positions, tilt[:, None] * aside, middle)
+    world, left = motion.transforms(positions).astype(np.float64), 0.0
+    for name, degrees in BOW.items():
+        left += degrees
+        if present[part := HANDLE_NAMES.index(name)]:
+            most = 1.6 * amount - 0.4 * (amount > 0) * name.startswith("spine")
+            turn = np.radians(left) * np.clip(most, np.minimum(amount, 0), 1)
+            _turn_part(world, part, anatomy, turn[:, None] * aside)
+            left = 0.0
+    return motion.with_transforms(world, positions)
+
+
+def _tilted(motion: HandleMotion, positions: np.ndarray, turns: np.ndarray, about: np.ndarray) -> HandleMotion:
+    """The motion turned as a whole by axes times angles [rad] (N, 3), about where a point of the root (3,) [m] is."""
+    turned, root = matrix_from_axis_angle(turns), motion.root_rotation.astype(np.float64)
+    arm = np.einsum("nij,j->ni", root, positions[0] - about)
+    path = motion.root_translation + np.einsum("nij,nj->ni", turned, arm) - arm
+    return replace(motion, root_rotation=turned @ root, root_translation=path)
+
+
+def _members(part: int, anatomy: Anatomy) -> list[int]:
+    parents = anatomy.joints.parents
+    return [handle for handle in range(len(parents)) if part in line_up(handle, parents)]
+
+
+def _turn_part(world: np.ndarray, part: int, anatomy: Anatomy, turns: np.ndarray) -> None:
+    """Turn a part of a body, where it is there, and all that hangs on it, by axes times angles [rad], in place."""
+    turned, members = matrix_from_axis_angle(turns)[:, None], _members(part, anatomy)
+    pivot = (world[:, part, :, :3] @ anatomy.joints.positions[part] + world[:, part, :, 3])[:, None]
+    shifts, rotations = world[..., 3], world[..., :3]
+    shifts[:, members] = (turned @ (shifts[:, members] - pivot)[..., None])[..., 0] + pivot
+    rotations[:, members] = turned @ rotations[:, members]
+
+
+def _planted(motion: HandleMotion, before: HandleMotion, anatomy: Anatomy) -> HandleMotion:
+    """The motion with its feet as they were before, and nothing below the ground."""
+    legs, positions = anatomy.legs, anatomy.handles.positions
+    if legs:
+        now, then = (some.transforms(positions).astype(np.float64) for some in (motion, before))
+        shifts = [(then - now)[:, leg.end] @ np.append(leg.joints[2], 1) for leg in legs]
+        slopes = [then[:, leg.end, :, :3] @ now[:, leg.end, :, :3].transpose(0, 2, 1) for leg in legs]
+        motion = with_feet_moved(motion, anatomy, legs, np.stack(shifts, axis=1), np.stack(slopes, axis=1))
+    sunk = np.maximum(anatomy.floor - anatomy.surface_reach.lowest(motion.transforms(positions)), 0)
+    return replace(motion, root_translation=motion.root_translation - sunk[:, None] * _DOWN)
+
+
+def _lain(motion: HandleMotion, anatomy: Anatomy, seconds: np.ndarray, last: int) -> HandleMotion:
+    """The motion of a body that falls over and lies on the ground as it would come to rest, from a frame on that is
+    `seconds` (N,) ago; `last` is the one in which it lies.
+    """
+    positions, part = anatomy.handles.positions, anatomy.surface_reach
+    share = smooth_step(seconds, *FALLS) ** 1.5
+    down = _rest(HandleMotion.take(motion, slice(last, last + 1)), anatomy)
+    motion = _tilted(
+        motion, positions, share[:, None] * axis_angle_from_matrix(rotation_between(down, _DOWN)), positions[0]
+    )
+    if anatomy.plan.legs or not anatomy.upright:
+        motion = _sagged(motion, anatomy, smooth_step(seconds, FALLS[1] - 0.5, FALLS[1] + 0.6), last)
+    points = skin(part.vertices, part.weights, motion.transforms(positions)).astype(np.float64)
+    low = points[..., 1].argmin(axis=1)
+    frames, path = np.arange(len(motion)), motion.root_translation.astype(np.float64)
+    sunk = anatomy.floor - points[frames, low, 1]
+    path[:, 1] += smooth_step(seconds, 0, FALLS[1]) * sunk
+    slip = points[frames[:-1], low[:-1]] - points[frames[1:], low[:-1]]  # it rolls over what it lies on
+    path[1:, [0, 2]] += np.cumsum(slip * (np.diff(share) > 0)[:, None], axis=0)[:, [0, 2]]
+    return replace(motion, root_translation=path)
+
+
+def _rest(pose: HandleMotion, anatomy: Anatomy) -> np.ndarray:
+    """The direction in a single pose that is down where the body lies, shape (3,): of the faces of its hull the one
+    over which its middle is low, but not that on which it stood; rather a side than an end.
+    """
+    world, mesh = pose.transforms(anatomy.handles.positions), anatomy.mesh
+    points = skin(mesh.vertices, anatomy.mesh_handles.weights, world)[0].astype(np.float64)
+    middle = mesh.areas @ points / mesh.areas.sum()
+    faces = np.unique(ConvexHull(points[mesh.surface], qhull_options="QJ").equations, axis=0)
+    normals, heights = faces[:, :3], -faces[:, :3] @ middle - faces[:, 3]
+    seen = normals @ pose.root_rotation[0].astype(np.float64)  # as the body has them at rest
+    score = heights / heights.mean() + 0.5 * np.abs(seen[:, 2]) + 0.15 * np.maximum(seen[:, 1], 0)
+    score += 0.1 * normals[:, 1] + 2.0 * (seen[:, 1] < -0.5)
+    return np.asarray(normals[score.argmin()])
+
+
+def _sagged(motion: HandleMotion, anatomy: Anatomy, share: np.ndarray, last: int) -> HandleMotion:
+    """The motion with limbs, neck and tail that sink to the ground by a share (N,), as far as they do in one frame."""
+    positions, root = anatomy.handles.positions, motion.root_rotation.astype(np.float64)
+    world = motion.transforms(positions).astype(np.float64)
+    near = float(anatomy.surface_reach.lowest(world[[last]])[0]) + TOUCHES * anatomy.mesh.height
+    for part in (HANDLE_NAMES.index(name) for name in _HANGS):
+        held = np.flatnonzero(anatomy.mesh_handles.weights[:, _members(part, anatomy)].sum(axis=1) > 0.5)
+        if not anatomy.own[part] or len(held) < 4:
+            continue
+        reach, pose = anatomy.reach_of(held), world[[last]]
+        pivot = pose[0, part, :, :3] @ anatomy.joints.positions[part] + pose[0, part, :, 3]
+        axis = np.cross(skin(reach.vertices, reach.weights, pose)[0].mean(axis=0) - pivot, _DOWN)
+        axis /= max(float(np.linalg.norm(axis)), 1e-9)
+        heights = []
+        for angle in (angles := np.radians(np.linspace(0, SAGS, 11))):
+            _turn_part(turned := pose.copy(), part, anatomy, angle * axis[None])
+            heights.append(float(reach.lowest(turned)[0]))
+        low = np.asarray(heights) <= near
+        most = angles[low.argmax() if low.any() else int(np.argmin(heights))]
+        _turn_part(world, part, anatomy, (share * most)[:, None] * (root @ root[last].T @ axis))
+    return motion.with_transforms(world, positions)

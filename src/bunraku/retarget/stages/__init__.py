@@ -24,13 +24,11 @@ class Stages:
         fins: Fins, claws and forelegs that nothing was drawn for stay near their rest.
         tail: Tails that are held up higher than they rest are lowered.
         front: Heads of bodies that lie along their spine are kept above the ground.
-        swings: Left and right legs of a body on four legs swing alike.
         attach: Handles stay joined to their parents.
         shape: Handles move a little where that keeps the mesh's edges at their lengths.
         level: Bodies that lie along their spine take a third of a person's tilt of the pelvis.
         ground: The lowest point is as high above the ground as the reference body's.
         soles: Feet that are long for their legs are held flatter where they would sink into the ground.
-        support: Legs stay under the trunk of a body on four legs.
         feet: Standing feet do not slide.
         hands: Hands that touch the body stay near it.
         hands_clear: Hands and forearms stay out of the body.
@@ -47,13 +45,11 @@ class Stages:
     fins: bool = True
     tail: bool = True
     front: bool = True
-    swings: bool = True
     attach: bool = True
     shape: bool = False
     level: bool = True
     ground: bool = True
     soles: bool = True
-    support: bool = True
     feet: bool = True
     hands: bool = False
     hands_clear: bool = True

@@ -1,6 +1,4 @@
-"""Stages for animals: further legs step after one another, left and right swing alike, legs stand under the trunk, and
-heads stay above the ground.
-"""
+"""Stages for animals: further legs step after one another, and heads stay above the ground."""
 
 from __future__ import annotations
 
@@ -9,8 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.anatomy.handles.limbs import ARMS, FAMILIES, SIDES, limb_handles
-from bunraku.anatomy.legs import Leg
+from bunraku.anatomy.handles.limbs import FAMILIES, SIDES, limb_handles
 from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.character import Handles
 from bunraku.core.geometry.curves import gaussian, running_least, smooth_step
@@ -19,10 +16,9 @@ from bunraku.core.geometry.rotations import (
     facing_and_tilt,
     matrix_from_axis_angle,
     matrix_slerp,
-    nearest_rotation,
 )
 from bunraku.core.motion import HandleMotion
-from bunraku.retarget.stages.stage import Fitting, Stage, sole_points, with_feet_moved
+from bunraku.retarget.stages.stage import Fitting, Stage
 
 _HIPS = [HANDLE_NAMES.index(f"{side}_hip") for side in SIDES]
 
@@ -124,208 +120,6 @@ class Gait(Stage, name="gait"):
         padded = np.pad(swings - np.median(swings), reach, mode="edge")
         windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1)
         return np.asarray(smooth_step(np.ptp(windows, axis=1), self.faint, self.plain))
-
-
-def pairs_of(legs: list[Leg]) -> list[tuple[Leg, Leg]]:
-    """Legs of the left and of the right side of a body that faces +Z that meet it side by side, the foremost first."""
-    left, found = sorted((leg for leg in legs if leg.joints[0][0] > 0), key=lambda leg: -leg.joints[0][2]), []
-    right = [leg for leg in legs if leg.joints[0][0] <= 0]
-    for one in left:
-        if right:
-            other = min(right, key=lambda leg: abs(leg.joints[0][2] - one.joints[0][2]))
-            right = [leg for leg in right if leg is not other]
-            found.append((one, other))
-    return found
-
-
-@dataclass(frozen=True)
-class Swings(Stage, name="swings"):
-    """Left and right legs of a body on four legs swing alike."""
-
-    shortest: float = 0.25  # shortest cycle of steps [s]
-    longest: float = 2.5  # longest one [s]
-    alike: float = 0.4  # correlation of a leg's angle with itself a cycle later, from which on it goes to and fro
-    turns: float = 0.5  # correlation of both legs, negative, from which on they take turns, whatever their pace
-    crossings: int = 4  # how often one then passes the other at the least: once is a step, and no walk
-    least: float = 0.1  # angle through which both legs swing at the least [rad]
-    unlike: float = 3.0  # factor between both beyond which they do different things, as in a blow with a paw
-    percent: float = 5.0  # share of the frames beyond the swing's ends, on each side
-    most: float = 1.8  # factor by which a swing is made larger or smaller at the most
-    # No leg that goes to and fro swings farther, or is farther back or ahead [rad], than the 48 of twelve animals of
-    # 0 A.D. that run.
-    widest: float = float(np.radians(90))
-    back: float = float(np.radians(-55))
-    ahead: float = float(np.radians(47))
-    rounds: int = 4  # the factors are found in turns, since a leg's angle is no linear function of its parts'
-
-    def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
-        return fitting.source.own_kind and bool(anatomy.plan.front) and not anatomy.has_extra_legs
-
-    def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
-        rotations, fps = fitting.rotations.copy(), fitting.source.fps
-        # a trunk that rocks with the steps adds to the swing of one leg what it takes from the other's
-        _, rocks = facing_and_tilt(fitting.root_rotation, fps)
-        for pair in pairs_of(anatomy.legs):
-            self._paired(rotations, pair, anatomy, rocks, fps)
-        return replace(fitting, rotations=rotations)
-
-    def _paired(
-        self, rotations: np.ndarray, pair: tuple[Leg, Leg], anatomy: Anatomy, rocks: np.ndarray, fps: float
-    ) -> None:
-        """Make both legs of a pair swing alike, in place."""
-        angles = [self.angle(rotations, leg, anatomy, rocks) for leg in pair]
-        swings = [self.swing(angle) for angle in angles]
-        ratio = max(swings) / max(min(swings), 1e-9)
-        if min(swings) < self.least or ratio > self.unlike or not self._goes_on(angles, fps):
-            return
-        swing = min(float(np.sqrt(swings[0] * swings[1])), self.widest)
-        ends = self.back + swing / 2, self.ahead - swing / 2
-        middle = float(np.clip(np.mean([one.mean() for one in angles]), *ends))
-        for leg, swing_of_leg in zip(pair, swings, strict=True):
-            factor, turned = 1.0, rotations
-            for _ in range(self.rounds):
-                factor = float(np.clip(factor * swing / max(swing_of_leg, 1e-9), 1 / self.most, self.most))
-                turned = self._scaled(rotations, leg, factor)
-                swing_of_leg = self.swing(self.angle(turned, leg, anatomy, rocks))
-            shift = middle - float(self.angle(turned, leg, anatomy, rocks).mean())
-            about = matrix_from_axis_angle(np.array([-shift, 0.0, 0.0]))
-            for handle in _handles(leg):
-                rotations[:, handle] = about @ turned[:, handle]
-
-    def angle(self, rotations: np.ndarray, leg: Leg, anatomy: Anatomy, rocks: np.ndarray) -> np.ndarray:
-        """How far forward a leg points along the heading [rad], shape (N,); `rocks` (N, 3, 3) are the root's rotations
-        from the heading.
-        """
-        hip, knee, ankle = leg.joints.astype(np.float64)
-        sole = anatomy.mesh.vertices[leg.sole].mean(axis=0) - ankle
-        way = rotations[:, leg.upper] @ (knee - hip) + rotations[:, leg.lower] @ (ankle - knee)
-        way = (rocks @ (way + rotations[:, leg.end] @ sole)[..., None])[..., 0]
-        return np.unwrap(np.arctan2(way[:, 2], -way[:, 1]))
-
-    def swing(self, angle: np.ndarray) -> float:
-        """Through how much of an angle a leg swings [rad]."""
-        return float(np.ptp(np.percentile(angle, [self.percent, 100 - self.percent])))
-
-    def _scaled(self, rotations: np.ndarray, leg: Leg, factor: float) -> np.ndarray:
-        """Rotations with a larger or smaller swing of a leg about the axis from side to side, each of its parts about
-        its own mean.
-        """
-        out = rotations.copy()
-        for handle in _handles(leg):
-            turns = rotations[:, handle]
-            mean = nearest_rotation(turns.mean(axis=0))
-            turn = np.asarray(axis_angle_from_matrix(turns @ mean.T))
-            turn[:, 0] *= factor
-            out[:, handle] = matrix_from_axis_angle(turn) @ mean
-        return out
-
-    def _goes_on(self, angles: list[np.ndarray], fps: float) -> bool:
-        """Whether both legs go to and fro: with one cycle, or at any pace, one ahead while the other is behind."""
-        away = [angle - angle.mean() for angle in angles]
-        apart, size = away[0] - away[1], float(np.sqrt((away[0] @ away[0]) * (away[1] @ away[1])))
-        if away[0] @ away[1] < -self.turns * size and np.count_nonzero(np.diff(np.sign(apart))) >= self.crossings:
-            return True
-        count = len(angles[0])
-        first, last = round(self.shortest * fps), min(round(self.longest * fps), (2 * count) // 3)
-        if last <= first + 1:
-            return False
-        both = np.minimum(*(_alike_later(angle, first, last) for angle in away))
-        return bool(both.max() > self.alike)
-
-
-def _handles(leg: Leg) -> list[int]:
-    """The handles of a leg's parts, each once."""
-    return list(dict.fromkeys((leg.upper, leg.lower, *leg.foot)))
-
-
-_FRONT = [*ARMS[0], *ARMS[1]]
-
-
-def _ends(handles: Handles, legs: list[Leg]) -> tuple[list[int], list[int]]:
-    """The legs of the rear and of the front of a body on four legs, by their numbers; empty of others."""
-    front = [number for number, leg in enumerate(legs) if int(handles.played[leg.upper]) in _FRONT]
-    rear = [number for number in range(len(legs)) if number not in front]
-    return (rear, front) if len(front) == len(rear) == 2 else ([], [])
-
-
-@dataclass(frozen=True)
-class Support(Stage, name="support"):
-    """Legs stay under the trunk of a body on four legs."""
-
-    lifted: float = 0.1  # a leg whose foot is higher, over its length, carries nothing
-    long: float = 0.6  # legs that are lifted for longer leave the trunk without support [s]
-    # An end of the trunk that is so much higher than at rest is meant to be up [rad].
-    reared: float = float(np.radians(20))
-    soft: float = 0.12  # how softly legs are put down [s]
-
-    def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
-        return len(anatomy.legs) == 4
-
-    def unsupported(self, motion: HandleMotion, anatomy: Anatomy) -> np.ndarray:
-        """In which frames the rear and the front of a trunk have nothing under them, though the other end stands, shape
-        (N, 2), bool.
-        """
-        legs, floor = anatomy.legs, anatomy.floor
-        world = motion.transforms(anatomy.handles.positions)
-        ends = _ends(anatomy.handles, legs)
-        out = np.zeros((len(motion), 2), bool)
-        if not ends[0]:
-            return out
-        high, tops, rest = [], [], []
-        for end in ends:
-            pair = [legs[number] for number in end]
-            lows = [(sole_points(leg, anatomy, world)[..., 1].min(axis=1) - floor) / leg.length for leg in pair]
-            high.append(np.min(lows, axis=0) > self.lifted)
-            tops.append(np.mean([_joint(world, leg.upper, leg.joints[0]) for leg in pair], axis=0))
-            rest.append(np.mean([leg.joints[0] for leg in pair], axis=0))
-        rise = _slope(tops[1] - tops[0]) - _slope((rest[1] - rest[0])[None])  # of the front over the rear
-        for side, rises in ((0, -rise), (1, rise)):
-            out[:, side] = self._lasting(high[side] & ~high[1 - side] & (rises < self.reared), motion.fps)
-        return out
-
-    def changed(self, motion: HandleMotion, anatomy: Anatomy) -> HandleMotion:
-        """The motion with legs put down below the end of the trunk that has nothing under it; unchanged where the body
-        does not stand on four.
-        """
-        handles, legs = anatomy.handles, anatomy.legs
-        wanting = self.unsupported(motion, anatomy)
-        if not wanting.any():
-            return motion
-        world = motion.transforms(handles.positions).astype(np.float64)
-        ahead, _ = facing_and_tilt(motion.root_rotation, motion.fps)
-        shifts = np.zeros((len(motion), len(legs), 3))
-        slopes = np.tile(np.eye(3), (len(motion), len(legs), 1, 1))
-        for end, numbers in enumerate(_ends(handles, legs)):
-            amount = gaussian(wanting[:, end].astype(float), self.soft * motion.fps)[:, None]
-            if not wanting[:, end].any():
-                continue
-            for number in numbers:
-                leg = legs[number]
-                top = _joint(world, leg.upper, leg.joints[0])
-                ankle = _joint(world, leg.end, leg.joints[2])
-                goal = top + np.einsum("nij,j->ni", ahead, leg.joints[2] - leg.joints[0])
-                goal[:, 1] = leg.joints[2][1]  # as high over the ground as at rest
-                shifts[:, number] = amount * (goal - ankle)
-                level = axis_angle_from_matrix(ahead @ np.swapaxes(world[:, leg.end, :, :3], -1, -2))
-                slopes[:, number] = matrix_from_axis_angle(amount * np.asarray(level))
-        return with_feet_moved(motion, anatomy, legs, shifts, slopes)
-
-    def _lasting(self, held: np.ndarray, fps: float) -> np.ndarray:
-        """Runs of frames that last longer than `long`, shape (N,), bool."""
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], held, [False]]).astype(int)))
-        out = np.zeros(len(held), bool)
-        for start, end in zip(edges[::2], edges[1::2], strict=True):
-            out[start:end] = end - start > self.long * fps
-        return out
-
-
-def _joint(world: np.ndarray, handle: int, position: np.ndarray) -> np.ndarray:
-    return np.asarray(world[:, handle, :, :3] @ position + world[:, handle, :, 3], np.float64)
-
-
-def _slope(direction: np.ndarray) -> np.ndarray:
-    """How far directions (N, 3) lead up [rad], shape (N,)."""
-    return np.asarray(np.arctan2(direction[:, 1], np.hypot(direction[:, 0], direction[:, 2])))
 
 
 _TRUNK = [HANDLE_NAMES.index(name) for name in ("spine1", "spine2", "spine3", "neck", "head", "head_top", "face")]

@@ -21,7 +21,7 @@ from bunraku.retarget.rig_parts import RigParts
 
 SECONDS = 8.0  # of each motion
 STRIDE = 4  # frames from one that is measured to the next
-CARRIED = Stages(ground=False, support=False, feet=False, smooth=False, floor=False)
+CARRIED = Stages(ground=False, feet=False, smooth=False, floor=False)
 """What carries a motion over, without what corrects it."""
 
 
