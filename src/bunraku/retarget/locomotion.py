@@ -366,18 +366,19 @@ def _bowed(motion: HandleMotion, anatomy: Anatomy, share: np.ndarray, down: np.n
     """The motion with the muzzle a share `down` (N,) of its way to the ground, from where it is held, or from higher up
     where that is on the ground or the body `rears`; `share` (N,) says how much of that is done.
     """
-    if not len(front := anatomy.front):
-        return motion
-    muzzle, near = [int(np.argmax(anatomy.mesh.vertices[front, 2]))], TOUCHES * anatomy.mesh.height
+    mesh, near = anatomy.mesh, TOUCHES * anatomy.mesh.height
+    front = anatomy.front if len(anatomy.front) else np.flatnonzero(mesh.surface)  # a body that is all head
+    muzzle = int(front[mesh.vertices[front, 2].argmax()])
+    front = np.append(anatomy.front, muzzle)
     heights = []
     for some in FRACTIONS:
         world = _bow(motion, anatomy, np.full(len(motion), some)).transforms(anatomy.handles.positions)
-        points = skin(anatomy.mesh.vertices[front], anatomy.mesh_handles.weights[front], world)[..., 1]
-        heights.append(points[:, muzzle[0]] - np.minimum(points.min(axis=1), anatomy.floor))
+        points = skin(mesh.vertices[front], anatomy.mesh_handles.weights[front], world)[..., 1]
+        heights.append(points[:, -1] - np.minimum(points[:, :-1].min(axis=1, initial=anatomy.floor), anatomy.floor))
     low = np.array(heights) <= 3 * near
     first = np.where(low.any(axis=0), low.argmax(axis=0), np.argmin(heights, axis=0))
     held = FRACTIONS[0] if rears or heights[np.searchsorted(FRACTIONS, 0)][0] < 10 * near else 0.0
-    least = gaussian(np.maximum(FRACTIONS[first], 1.5 * abs(held) + held), 0.15 * motion.fps)
+    least = gaussian(np.maximum(FRACTIONS[first], held), 0.15 * motion.fps)
     return _planted(_bow(motion, anatomy, share * (held + down * (least - held))), motion, anatomy)
 
 
