@@ -289,7 +289,7 @@ def _for_body(clause: Clause, kind: str, wings: bool, as_people: bool) -> Clause
         adapted = clause_of(head + said_otherwise(predicate, row.verb), clause.seconds)
     ground = _on_ground(adapted)
     text = adapted.text
-    if moves == "fly":  # the one flight that the network knows is a bird's
+    if moves.startswith("fly"):  # the one flight that the network knows is a bird's
         subject, rest = subject_of(text)
         text = f"a bird {rest}" if subject else with_subject(text, "a bird")
     elif not as_people:

@@ -61,8 +61,8 @@ class Clause:
     # that it says
     detail: Interaction | Posing | None = None
     stance: Stance | None = None  # of the body that does it, if that follows from what was said before
-    # what the body of `for_body` then does: "fly", "swim" and "slither", or how it is on the ground: "step", "run",
-    # "stay", "lie"; "" for neither
+    # what the body of `for_body` then does: "fly" anywhere, "fly on" and "fly fast" ahead, "swim" and "slither", or how
+    # it is on the ground: "step", "run", "stay", "lie"; "" for neither
     moves: str = ""
     # where a movement of the legs is joined with a gesture, the one and the other; none otherwise
     voices: tuple[Clause, ...] = field(default=())

@@ -67,7 +67,7 @@ BOB = 0.05  # how far a body sinks and rises with the beats, over the height of 
 WAVE = {"swim": 1.2, "slither": 0.9}  # waves in a second
 BENT = {"swim": 0.45, "slither": 0.7}  # how far the tip of a tail turns aside [rad]
 BENDS = 0.3  # a tail that swings through less than this does not bend [rad]
-SPEED = {"swim": 0.5, "slither": 0.3, "step": 0.3, "run": 0.6}
+SPEED = {"swim": 0.5, "slither": 0.3, "step": 0.3, "run": 0.6, "fly on": 0.5, "fly fast": 1.0}
 """Lengths of the body, along its longest axis, in a second; without legs it hops where others step or run."""
 HOPS = {"step": 1.5, "run": 2.5}  # hops in a second of a body without legs; chosen by eye on a figurine
 HOP = 0.08  # how high they are, over its height; chosen by eye on the same
@@ -112,17 +112,19 @@ def _range(turns: np.ndarray) -> float:
 
 def moved_so(motion: HandleMotion, locomotion: str, where: slice, anatomy: Anatomy, loop: bool = False) -> HandleMotion:
     """The motion of the reference body, generated for a character, with what a locomotion needs in some of its frames;
-    as it is for other kinds than "fly", "swim" and those of `AIR`. "Stay" is to be in the air for no longer than a
+    as it is for other kinds than "fly" and those of `SPEED` and `AIR`. "Stay" is to be in the air for no longer than a
     jump, and "lie" to be on the ground with all but the front. In a `loop` the last frame is the first again.
     """
     frames = np.arange(len(motion))[where]
-    if locomotion not in ("fly", *WAVE, *AIR) or len(frames) < 2:
+    if locomotion not in ("fly", *SPEED, *AIR) or len(frames) < 2:
         return motion
     if locomotion in ("lie", "slither"):
         turned, root = laid(motion, _amount(len(motion), frames, motion.fps))
         motion = _attached(motion, turned, root_rotation=root)
-    if locomotion == "fly":
-        return _flown(motion, frames, anatomy, loop)
+    if locomotion.startswith("fly"):
+        motion = _flown(motion, frames, anatomy, loop)
+        ahead = locomotion in SPEED
+        return replace(motion, root_translation=_travelled(motion, locomotion, frames, anatomy)) if ahead else motion
     if locomotion in WAVE:
         motion = _waved(motion, locomotion, frames, anatomy, loop)
     elif not anatomy.plan.legs:
@@ -334,7 +336,7 @@ FALLS = 0.3, 1.5  # when a body that dies begins and ends to fall [s]; chosen by
 SAGS = 50.0  # how far limbs, neck and tail of a dead body sink at the most [degrees]; chosen by eye on the same
 STRIKE = 1.4  # how long a strike takes [s]; chosen by eye on a fish and a stork
 LEAP = 0.35, 0.08  # how far ahead and up a body leaps with it, over its length; chosen by eye on the same
-TOUCHES = 0.02  # a part that is nearer to the ground is on it, over the height; chosen by eye on a horse
+TOUCHES = 0.02  # a part that is nearer to the ground is on it, over the size; chosen by eye on a horse
 _HANGS = ("neck", "head", "tail", *(f"{side}_{part}" for part in ("hip", "shoulder", "wing") for side in SIDES))
 _HIND = [*LEGS[0], *LEGS[1]]
 _DOWN = np.array([0.0, -1.0, 0.0])
@@ -366,7 +368,7 @@ def _bowed(motion: HandleMotion, anatomy: Anatomy, share: np.ndarray, down: np.n
     """The motion with the muzzle a share `down` (N,) of its way to the ground, from where it is held, or from higher up
     where that is on the ground or the body `rears`; `share` (N,) says how much of that is done.
     """
-    mesh, near = anatomy.mesh, TOUCHES * anatomy.mesh.height
+    mesh, near = anatomy.mesh, TOUCHES * float(np.ptp(anatomy.mesh.vertices, axis=0).max())
     front = anatomy.front if len(anatomy.front) else np.flatnonzero(mesh.surface)  # a body that is all head
     muzzle = int(front[mesh.vertices[front, 2].argmax()])
     front = np.append(anatomy.front, muzzle)
