@@ -280,3 +280,20 @@ def test_a_head_that_would_sink_is_kept_above_the_ground(dog):
     assert before.min() < -0.1 and after.min() > -Front().sink - 0.01
     assert after.min() < 0.6 * after.max()  # it still bows
     np.testing.assert_allclose(rotations[[0, -1]], motion.rotations[[0, -1]], atol=1e-3)
+
+
+def test_the_chest_does_not_come_down_to_the_ground(dog):
+    """A crouch before a jump laid a bear and a sheep on their chests, with the rump up."""
+    tilt = matrix_from_axis_angle(np.tile(np.radians([70.0, 0, 0]), (FRONT_FRAMES, 1)))
+    still = np.zeros((FRONT_FRAMES, 3))
+    level = np.tile(np.eye(3), (FRONT_FRAMES, 30, 1, 1))
+    motion = HandleMotion(np.zeros((FRONT_FRAMES, 30, 3)), level, still, tilt, 20.0).of_own_body()
+    leg = next(leg for leg in dog.anatomy.legs if HANDLE_NAMES[leg.upper].endswith("shoulder"))
+    pelvis = dog.handles.positions[0]
+
+    def drop(moved: HandleMotion) -> float:
+        turned = moved.root_rotation[FRONT_FRAMES // 2] @ (leg.joints[0] - pelvis)
+        return float(leg.joints[0][1] - pelvis[1] - turned[1]) / leg.length
+
+    assert drop(motion) > 2 * Front().stoop
+    assert drop(Front().raised(motion, motion.rotations, dog.anatomy)[0]) < Front().stoop + 0.02

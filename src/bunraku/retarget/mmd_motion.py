@@ -96,10 +96,8 @@ def mmd_poses_to_smpl(poses: MmdPoses) -> SkeletalMotion:
     root = next((bone for bone in next(iter(lines.values())) if bone in shared), -1)
     if root < 0:
         raise MotionError(f"{poses.model.name or 'this model'}: its legs and arms do not hang on one bone")
-    chosen = sorted(
-        {bone for line in lines.values() for bone in line[: line.index(root) + 1]},
-        key=lambda bone: (len(line_up(bone, parents)), bone),
-    )
+    held = {bone for line in lines.values() for bone in line[: line.index(root) + 1]}
+    chosen = sorted(held, key=lambda bone: (len(line_up(bone, parents)), bone))
     index = {bone: number for number, bone in enumerate(chosen)}
     above = np.array([index.get(int(parents[bone]), -1) if bone != root else -1 for bone in chosen])
     rest = poses.model.positions[chosen]
@@ -218,9 +216,8 @@ def mmd_motion(target: Character | MmdModel, motion: SkeletalMotion) -> MmdClip:
         else:
             joint_rotations[:, bone] = above
         if parent >= 0:
-            positions[:, bone] = positions[:, parent] + np.einsum(
-                "nij,j->ni", joint_rotations[:, parent], rest[bone] - rest[parent]
-            )
+            away = np.einsum("nij,j->ni", joint_rotations[:, parent], rest[bone] - rest[parent])
+            positions[:, bone] = positions[:, parent] + away
     hips = [mapped.of("left_hip"), mapped.of("right_hip")]
     shift = _hips(model, mapped, motion) - positions[:, hips].mean(axis=1)
     still = np.zeros_like(shift)
@@ -245,9 +242,8 @@ def _hips(model: MmdModel, found: SkeletonMap, motion: SkeletalMotion) -> np.nda
     points, reference = model.positions, reference_body().joints
     joints = [found.of(name) for name in _LEGS]
     sides = joints[0::2], joints[1::2]
-    length = float(
-        np.mean([np.linalg.norm(points[a] - points[b]) + np.linalg.norm(points[b] - points[c]) for a, b, c in sides])
-    )
+    legs = [np.linalg.norm(points[a] - points[b]) + np.linalg.norm(points[b] - points[c]) for a, b, c in sides]
+    length = float(np.mean(legs))
     source = leg_length(rest)
     feet = [_J["left_foot"], _J["right_foot"]]
     toes = reference[feet, 1].mean() * source / leg_length(reference)

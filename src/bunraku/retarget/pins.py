@@ -74,9 +74,7 @@ class Pin(Constraint, kind="pin", several=True):
         """The frames in which it is held; OptionError where it is after the end of the clip."""
         first = round(self.time * fps)
         if first >= count:
-            raise OptionError(
-                f"the pin of {self.part} at {self.time:g} s is after the end of the clip, {count / fps:g} s"
-            )
+            raise OptionError(f"the pin of {self.part} at {self.time:g} s is after the clip's end, {count / fps:g} s")
         return np.arange(first, min(first + round(self.hold * fps), count - 1) + 1)
 
 
@@ -123,9 +121,7 @@ def meet_pins(motion: HandleMotion, anatomy: Anatomy, pins: Sequence[Pin]) -> Ha
     for pin in pins:
         if pin.part not in end_numbers:
             there = ", ".join(end_numbers) or "none"
-            raise OptionError(
-                f"{character.name} has no {pin.part.replace('_', ' ')} to pin; of its limbs there are {there}"
-            )
+            raise OptionError(f"{character.name} has no {pin.part.replace('_', ' ')} to pin; it has {there}")
     given, reach = motion, np.zeros(len(motion), bool)
     goals = np.full((len(motion), len(ends), 3), np.nan)
     for pin in pins:

@@ -85,9 +85,7 @@ class RigParts:
         """
         rig = character.rig
         if rig is None:
-            raise CharacterError(
-                f"{character.name}: there is no rig in this file to put a motion on; put it on its handles instead"
-            )
+            raise CharacterError(f"{character.name}: it has no rig to put a motion on; put it on its handles instead")
         areas = character.areas
         mass = np.bincount(rig.indices.ravel(), (rig.weights * areas[:, None]).ravel(), minlength=len(rig.names))
         above = _followed(character)
@@ -108,9 +106,7 @@ class RigParts:
         for part in (*WRISTS, *_HIPS):
             parts, leads[part] = _lead_below(part, int(leads[part]), without_prefix(rig.names), parts, parents, mass)
         if leads[0] < 0:
-            raise CharacterError(
-                f"{character.name}: no bone of its rig is known to be the pelvis; put the motion on its handles instead"
-            )
+            raise CharacterError(f"{character.name}: no bone is known to be the pelvis; put the motion on its handles")
         joints = _joints(handles, rig.positions, parts, parents, leads, mass / max(float(areas.sum()), 1e-30))
         turns, still = _turns(character, handles, joints), _still(parts, parents, mass)
         return cls(character, handles, joints, turns, parts, leads, parents, still)

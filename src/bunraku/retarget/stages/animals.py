@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -130,6 +131,9 @@ class Front(Stage, name="front", needs=("ground",)):
     """Heads of bodies that lie along their spine are kept above the ground."""
 
     sink: float = 0.01  # a head may be so far under the ground, over the height
+    # How far the tops of front legs come down as the trunk tilts at the most, over their length: what crouches before a
+    # jump on short legs would lie on its chest. By eye on a bear and a lion.
+    stoop: float = 0.3
     steps: tuple[float, ...] = (0.75, 0.5, 0.25)  # shares of the bending that are tried, before none
     soft: float = 0.15  # how softly bending is taken out [s]
 
@@ -146,35 +150,51 @@ class Front(Stage, name="front", needs=("ground",)):
     def raised(self, motion: HandleMotion, rotations: np.ndarray, anatomy: Anatomy) -> tuple[HandleMotion, np.ndarray]:
         """A motion with less tilt of the root, and local rotations of the character's handles (N, K, 3, 3), in the
         root's frame, with less bending of the trunk, in frames in which the head of a body that stands as high as at
-        rest would sink into the ground.
+        rest would sink into the ground, or its chest come down too far.
         """
-        held = anatomy.front
+        held, character = anatomy.front, anatomy.mesh
         if not len(held):
             return motion, rotations
-        character = anatomy.mesh
         floor = float(character.vertices[character.surface, 1].min()) - self.sink * character.height
         reach = anatomy.reach_of(held)
+        tops = [anatomy.legs[number] for number in _ends(anatomy.handles, anatomy.legs)[1]]
+
+        def sinks(world: np.ndarray) -> np.ndarray:
+            return reach.lowest(world) < floor
+
+        def stoops(world: np.ndarray) -> np.ndarray:
+            drops = [leg.joints[0][1] - _joint(world, leg.upper, leg.joints[0])[:, 1] for leg in tops]
+            return np.max(drops, axis=0) > self.stoop * max(leg.length for leg in tops)
+
+        if tops:
+            motion, rotations = self._less(motion, rotations, anatomy, _TRUNK[:3], stoops)
+        return self._less(motion, rotations, anatomy, _TRUNK, sinks)
+
+    def _less(
+        self, motion: HandleMotion, rotations: np.ndarray, anatomy: Anatomy, parts: list[int],
+        low: Callable[[np.ndarray], np.ndarray],
+    ) -> tuple[HandleMotion, np.ndarray]:  # fmt: skip
+        """The same with less tilt of the root and less bending of some parts where the posed body is too low."""
         facing, turned = facing_and_tilt(motion.root_rotation, motion.fps)
-        tilt = axis_angle_from_matrix(turned)
-        bends = np.asarray(axis_angle_from_matrix(rotations[:, _TRUNK].astype(np.float64)))
+        tilt, bends = (axis_angle_from_matrix(turns.astype(np.float64)) for turns in (turned, rotations[:, parts]))
 
         def bent(share: np.ndarray) -> tuple[HandleMotion, np.ndarray]:
             some = rotations.copy()
-            some[:, _TRUNK] = matrix_from_axis_angle(share[:, None, None] * bends)
+            some[:, parts] = matrix_from_axis_angle(share[:, None, None] * bends)
             return replace(motion, root_rotation=facing @ matrix_from_axis_angle(share[:, None] * tilt)), some
 
         def sinks(moved: HandleMotion, some: np.ndarray) -> np.ndarray:
             turned, translations = anatomy.attached(some.astype(np.float64))
             still = np.zeros_like(motion.root_translation)
             posed = replace(moved, rotations=turned, translations=translations, root_translation=still)
-            return reach.lowest(posed.transforms(anatomy.handles.positions)) < floor
+            return np.asarray(low(posed.transforms(anatomy.handles.positions)))
 
-        low = sinks(motion, rotations)
-        if not low.any():
+        sunk = sinks(motion, rotations)
+        if not sunk.any():
             return motion, rotations
-        share = np.where(low, 0.0, 1.0)
+        share = np.where(sunk, 0.0, 1.0)
         for step in self.steps:
             clear = ~sinks(*bent(np.full(len(motion), step)))
-            share = np.where(low & clear, np.maximum(share, step), share)
+            share = np.where(sunk & clear, np.maximum(share, step), share)
         share = running_least(share, 2 * max(round(2 * self.soft * motion.fps), 1) + 1)
         return bent(gaussian(share, self.soft * motion.fps))
