@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.anatomy.handles.limbs import FAMILIES, SIDES, limb_handles
+from bunraku.anatomy.handles.limbs import ARMS, FAMILIES, SIDES, limb_handles
 from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.character import Handles
 from bunraku.core.geometry.curves import gaussian, running_least, smooth_step
@@ -157,16 +157,17 @@ class Front(Stage, name="front", needs=("ground",)):
             return motion, rotations
         floor = float(character.vertices[character.surface, 1].min()) - self.sink * character.height
         reach = anatomy.reach_of(held)
-        tops = [anatomy.legs[number] for number in _ends(anatomy.handles, anatomy.legs)[1]]
+        fore = [leg for leg in anatomy.legs if int(anatomy.handles.played[leg.upper]) in (*ARMS[0], *ARMS[1])]
 
         def sinks(world: np.ndarray) -> np.ndarray:
             return reach.lowest(world) < floor
 
         def stoops(world: np.ndarray) -> np.ndarray:
-            drops = [leg.joints[0][1] - _joint(world, leg.upper, leg.joints[0])[:, 1] for leg in tops]
-            return np.max(drops, axis=0) > self.stoop * max(leg.length for leg in tops)
+            tops = [world[:, leg.upper, 1, :3] @ leg.joints[0] + world[:, leg.upper, 1, 3] for leg in fore]
+            drops = [leg.joints[0][1] - top for leg, top in zip(fore, tops, strict=True)]
+            return np.asarray(np.max(drops, axis=0) > self.stoop * max(leg.length for leg in fore))
 
-        if tops:
+        if fore:
             motion, rotations = self._less(motion, rotations, anatomy, _TRUNK[:3], stoops)
         return self._less(motion, rotations, anatomy, _TRUNK, sinks)
 
