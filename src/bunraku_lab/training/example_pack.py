@@ -199,6 +199,7 @@ class _Stretch(NamedTuple):
     loop: tuple[int, int] | None
     skeleton: SkeletalMotion | None = None
     asked: tuple[str, ...] = ()
+    spare: bool = False  # of a body so unlike a person's that it serves only for actions that others show too rarely
 
 
 def build_examples(
@@ -220,8 +221,8 @@ def build_examples(
     statistics = FeatureStatistics.measure([entry["features"] for entry in clips.values()])
     rows = ClipSet(clips, statistics, "train", mixture=Mixture(creatures=0.0, borrowed=0.0))
     found = [
-        *_stretches(rows, clips), *_events(rows, settings.seed), *_gestures(), *_standing(rows), *_idles(clips),
-        *_busy(clips),
+        *(one for one in _stretches(rows, clips) if not one.spare), *_events(rows, settings.seed), *_gestures(),
+        *_standing(rows), *_idles(clips), *_busy(clips),
     ]  # fmt: skip
     progress("vectors", 0.0)
     texts, motions, owners = _vectors(found, ranker, encoder)
@@ -288,10 +289,10 @@ def _with_what_it_lacks(
             licences.update(str(own[one.name].get("licence", "unknown")) for one in found if one.kind == OWN)
             said = {word.text for entry in own.values() for text in entry["texts"] for word in words_of(text)}
             write_own_words(settings.out.parent, {word for word in said if not is_known(word)} | own_words())
+    clips = _people(settings, progress) if settings.captions is not None and settings.data.exists() else {}
     if settings.captions is not None:
-        base = _with_asked(base, _asked(settings.captions), ranker, encoder)
-    if settings.captions is not None and settings.data.exists():
-        clips = _people(settings, progress)
+        base = _with_asked(base, _asked(settings.captions), _names(clips), ranker, encoder)
+    if clips:
         shown = {one.name for one in base.examples}
         rows = ClipSet(clips, FeatureStatistics.measure([entry["features"] for entry in clips.values()]))
         captured = [one for one in _stretches(rows, clips) if one.name not in shown]
@@ -339,15 +340,18 @@ def _asked(folder: Path) -> dict[str, tuple[str, ...]]:
 
 
 def _with_asked(
-    pack: ExamplePack, asked: Mapping[str, tuple[str, ...]], ranker: Extractor, encoder: TextEncoder
-) -> ExamplePack:
-    """A pack with vectors of the sentences that ask for its captured stretches, where it has only those of captions."""
+    pack: ExamplePack, asked: Mapping[str, tuple[str, ...]], names: Mapping[str, tuple[str, ...]],
+    ranker: Extractor, encoder: TextEncoder,
+) -> ExamplePack:  # fmt: skip
+    """A pack with vectors of the sentences that ask for its captured stretches and of their names, where it lacks
+    them: captions come first, then these, then those.
+    """
     sizes = np.bincount(pack.owners, minlength=len(pack.examples))
     rows = [
         (index, text)
         for index, one in enumerate(pack.examples)
-        if one.texts and not one.unranked and sizes[index] == len(one.texts)
-        for text in asked.get(one.texts[0], ())
+        if one.texts and not one.unranked and sizes[index] >= len(one.texts)
+        for text in (asked.get(one.texts[0], ()) + names.get(one.name, ()))[sizes[index] - len(one.texts) :]
     ]
     vectors = _sentence_vectors([text for _, text in rows], ranker, encoder)
     owners = np.concatenate([pack.owners, np.array([index for index, _ in rows], np.int32)])
@@ -383,15 +387,18 @@ def _widest(
     left = most - sum(bytes_of[index] for index in ours if not base.examples[index].made)
     kept: list[int] = []
     gains = np.full(len(stretches), np.inf)
+    spare = np.array([index >= len(base.examples) and found[index - len(base.examples)].spare for index in stretches])
     shown = Counter(said.actions for said in shown_by([base.examples[index] for index in ours]))
     rows = [*base.examples, *(Example(one.name, one.texts, len(one.features)) for one in found)]
     for place, said in enumerate(shown_by([rows[index] for index in stretches])):
-        if len(said.actions) == 1 and not said.besides and shown[said.actions] < EACH:
+        enough = EACH // 2 if spare[place] else EACH
+        if len(said.actions) == 1 and not said.besides and shown[said.actions] < enough:
             shown[said.actions] += 1
             covered = np.maximum(covered, near[:, place])
             left -= bytes_of[stretches[place]]
             kept.append(stretches[place])
             gains[place] = -1
+    gains[spare] = -1
     while True:
         place = int(np.argmax(gains))
         if gains[place] <= 0 or left <= 0:
@@ -432,10 +439,23 @@ def _of_ones_own(clips: Mapping[str, ClipEntry]) -> Iterator[_Stretch]:
 
 
 def _stretches(rows: ClipSet, clips: Mapping[str, ClipEntry]) -> Iterator[_Stretch]:
-    for clip in rows.clips:
-        if clip.watched and len(clip.values) <= LONGEST and clip.weight >= 0.5:
+    named = _names(clips)
+    for clip in sorted(rows.clips, key=lambda clip: -clip.weight):
+        if clip.watched and len(clip.values) <= LONGEST:
             kind = "action: " + " and ".join(clip.actions)
-            yield _Stretch(clip.name, kind, clip.texts, clips[clip.name]["features"], clip.loop, asked=clip.asked)
+            asked = clip.asked + named.get(clip.name, ())
+            yield _Stretch(
+                clip.name, kind, clip.texts, clips[clip.name]["features"], clip.loop, asked=asked,
+                spare=clip.weight < 0.5,
+            )  # fmt: skip
+
+
+def _names(clips: Mapping[str, ClipEntry]) -> dict[str, tuple[str, ...]]:
+    """What the archive calls clips that are watched as one stretch: names, as makers of games write them."""
+    stretches = Counter(name.split("@")[0] for name in clips)
+    return {
+        name: tuple(entry.get("labels") or ()) for name, entry in clips.items() if stretches[name.split("@")[0]] == 1
+    }
 
 
 def _events(rows: ClipSet, seed: int) -> Iterator[_Stretch]:
