@@ -290,12 +290,17 @@ def _with_what_it_lacks(
             said = {word.text for entry in own.values() for text in entry["texts"] for word in words_of(text)}
             write_own_words(settings.out.parent, {word for word in said if not is_known(word)} | own_words())
     clips = _people(settings, progress) if settings.captions is not None and settings.data.exists() else {}
+    names = _names(clips)
     if settings.captions is not None:
-        base = _with_asked(base, _asked(settings.captions), _names(clips), ranker, encoder)
+        base = _with_asked(base, _asked(settings.captions), names, ranker, encoder)
     if clips:
         shown = {one.name for one in base.examples}
         rows = ClipSet(clips, FeatureStatistics.measure([entry["features"] for entry in clips.values()]))
-        captured = [one for one in _stretches(rows, clips) if one.name not in shown]
+        captured = [
+            one._replace(asked=one.asked + names.get(one.name, ()))
+            for one in _stretches(rows, clips)
+            if one.name not in shown
+        ]
         base, captured = _widest(base, captured, ranker, encoder, settings.motion)
         licences.update(str(clips[one.name].get("licence", "unknown")) for one in captured)
         found += captured
@@ -439,15 +444,11 @@ def _of_ones_own(clips: Mapping[str, ClipEntry]) -> Iterator[_Stretch]:
 
 
 def _stretches(rows: ClipSet, clips: Mapping[str, ClipEntry]) -> Iterator[_Stretch]:
-    named = _names(clips)
     for clip in sorted(rows.clips, key=lambda clip: -clip.weight):
         if clip.watched and len(clip.values) <= LONGEST:
             kind = "action: " + " and ".join(clip.actions)
-            asked = clip.asked + named.get(clip.name, ())
-            yield _Stretch(
-                clip.name, kind, clip.texts, clips[clip.name]["features"], clip.loop, asked=asked,
-                spare=clip.weight < 0.5,
-            )  # fmt: skip
+            features, spare = clips[clip.name]["features"], clip.weight < 0.5
+            yield _Stretch(clip.name, kind, clip.texts, features, clip.loop, asked=clip.asked, spare=spare)
 
 
 def _names(clips: Mapping[str, ClipEntry]) -> dict[str, tuple[str, ...]]:
