@@ -8,7 +8,8 @@ import pytest
 import torch
 
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.apparel.fitting import BORDER, eased_border, fitted_clothes, joints_of_handles
+from bunraku.apparel.clothed import BESIDE
+from bunraku.apparel.fitting import eased_border, fitted_clothes, joints_of_handles
 from bunraku.apparel.learned.network import DisplacementConfig
 from bunraku.apparel.part_network import PartConfig
 from bunraku.cli.options import ApparelOptions
@@ -140,8 +141,8 @@ def test_a_sheet_is_not_torn_where_its_mask_has_an_edge(animation):
     edge = float(np.median(character.vertices[~apron, 1]))
     clothed, share = eased((character.vertices[:, 1] > edge) & ~apron)
     up = (character.vertices[:, 1] - edge) / clothed.scale
-    assert (share[up <= 0] == 0).all() and (share[(up > BORDER) & ~apron] == 1).all()
-    near = (up > 0) & (up < 0.3 * BORDER) & ~apron
+    assert (share[up <= 0] == 0).all() and (share[(up > BESIDE) & ~apron] == 1).all()
+    near = (up > 0) & (up < 0.3 * BESIDE) & ~apron
     assert near.sum() > 20 and share[near].mean() < 0.5  # not 0: border vertices are a few centimetres apart
 
 

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from bunraku.anatomy.handles.networks import farthest_points
 from bunraku.anatomy.names.bone_names import NO_HANDLE
-from bunraku.apparel.clothed import ClothedCharacter
+from bunraku.apparel.clothed import BESIDE, LAYER, ClothedCharacter
 from bunraku.apparel.mask import moved_joints
 from bunraku.core.animation import RigAnimation, bone_order
 from bunraku.core.avatars import mmd_model
@@ -124,12 +124,9 @@ def eq4_transforms(transforms: np.ndarray, joints: np.ndarray) -> np.ndarray:
     return out
 
 
-PLANES = 4  # nearest points of a surface whose planes say how far something is from it; chosen
+PLANES = 4  # nearest points of a surface whose planes say how far something is from it; chosen by eye
 
-# Lengths over the character's size [m]. All were chosen by eye.
-BAND = 0.09  # what is farther from a limb is not near it
-ASIDE = 0.04  # so far beside the nearest point of a surface, what is near it is not beyond its edge
-BURIED = 0.02  # what is deeper at rest does not count
+BAND = 0.09  # over the character's size [m]: what is farther from a limb is not near it; chosen by eye
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +165,7 @@ class Planes:
         """
         distance, way, beside = self.of(points)
         lack = gap - distance
-        moves = (lack > 0) & (lack < most) & (beside < ASIDE * size + np.abs(distance))
+        moves = (lack > 0) & (lack < most) & (beside < BESIDE * size + np.abs(distance))
         return np.where(moves, lack, 0), way
 
 
@@ -195,8 +192,8 @@ class PosedBody:
         `clear` [m], and `-inf` for those so deep in the body that they do not count.
         """
         distance, _, beside = self.planes(points)[1].of(points)
-        near = np.where(distance > -BURIED * size, np.minimum(distance, clear), -np.inf)
-        return np.where(beside < ASIDE * size + np.abs(distance), near, clear)
+        near = np.where(distance > -LAYER * size, np.minimum(distance, clear), -np.inf)
+        return np.where(beside < BESIDE * size + np.abs(distance), near, clear)
 
 
 @dataclass(frozen=True, eq=False)

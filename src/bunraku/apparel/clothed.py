@@ -9,6 +9,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from bunraku.apparel.physics.rig import PhysicsSettings
 from bunraku.core.body.layout import JOINT_COUNT, JOINT_NAMES
 from bunraku.errors import CharacterError
 
@@ -22,8 +23,18 @@ ARMS = tuple(
 """Joints of the arms."""
 SIZE = 1.6
 """Height that the networks know characters at [m]; others are measured in units of theirs over this."""
-GRAVITY = 7.84
-"""Of MMD files, 98 of their units [m/s^2]; the displacement network was trained with it."""
+GRAVITY = PhysicsSettings.gravity
+"""Of MMD files [m/s^2]; the displacement network was trained with it, and springs are measured by it."""
+RATE = 30.0
+"""Frames a second that the networks were trained at, and that motions are made at to which springs are fitted [1/s]."""
+LAYER = 0.02
+"""Over the size [m]: layers of cloth and cards of hair that are nearer lie on one another, and one point of a surface
+stands for what is as near. Chosen by eye on the wardrobe and on twelve bare meshes.
+"""
+BESIDE = 0.04
+"""Over the size [m]: what is farther from a surface is not beside it. A chain that keeps so far from the body is free,
+and within as much apparel goes over to the body where both are one sheet. Chosen by eye on the same meshes.
+"""
 NORMAL_STIFFNESS = -0.4
 """Of cloth that hangs, the median of the wardrobe: the stiffness of a part without springs and limits."""
 NORMAL_DAMPING = 0.93
@@ -100,9 +111,12 @@ class ClothedCharacter:
 
 _SIZES = {"lever": 3, "away": 3, "arm": 3, "axes": 9, "lower": 3, "upper": 3, "spring": 3, "friction": 1, "drag": 1,
           "weight": 1, "share": 1}  # fmt: skip
+"""Numbers of each field of `Swing` in a row of its table, by definition."""
 SWING_NUMBERS = sum(_SIZES.values())
-AIR = 1.5  # largest rate at which the air takes speed, as in the simulation and the trained networks [1/s]
-SOLID = 2 / 3  # of a rod: as long is the pendulum that swings like it
+AIR = (
+    PhysicsSettings.air
+)  # largest rate at which the air takes speed, as in the simulation and the trained networks [1/s]
+SOLID = 2 / 3  # of a rod: by definition as long is the pendulum that swings like it
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from bunraku.apparel.clothed import NORMAL_DAMPING, NORMAL_STIFFNESS, SOFTEST, STIFFEST, ClothedCharacter
-from bunraku.apparel.nodes import apparel_parts, held_vertices, whole_pieces
+from bunraku.apparel.clothed import BESIDE, NORMAL_DAMPING, NORMAL_STIFFNESS, SOFTEST, STIFFEST, ClothedCharacter
+from bunraku.apparel.nodes import NEIGHBOURS, apparel_parts, held_vertices, whole_pieces
 from bunraku.apparel.part_network import CARRIERS, PARTS
 from bunraku.apparel.parts import HANGING, Parts, carried_by
 from bunraku.core.body.layout import HANDLE_COUNT, HANDLE_PARENTS, JOINT_COUNT, JOINT_NAMES, JOINT_PARENTS, sided
@@ -16,11 +16,7 @@ from bunraku.core.character import Character, Handles, Rig
 from bunraku.core.geometry.curves import smooth_step
 from bunraku.core.geometry.graph import clean_mesh, unique_edges
 
-# Shares of a part, and lengths over the size [m]. All were chosen by eye.
-BORDER = 0.04  # distance from the body of the same sheet up to which apparel goes with it in part
-SPECK = 0.045  # of the height: what is no longer than this stays with the body
-_SMALL = 0.002  # of the apparel's vertices: parts with fewer stay with the body
-_NEAR = 12
+SPECK = 0.045  # of the height: what is no longer than this stays with the body; chosen by eye
 _HIPS, _COLLARS = sided("hip"), sided("collar")
 _HEAD, _WAIST = (tuple(JOINT_NAMES.index(name) for name in names) for names in (("head", "neck"), ("pelvis", "spine1")))
 
@@ -81,7 +77,7 @@ def fitted_clothes(
         elif tree is None or not len(roots):
             share = weights[rows].mean(axis=0)
         else:
-            near = body[tree.query(vertices[roots], min(_NEAR, len(body)))[1].reshape(-1)]
+            near = body[tree.query(vertices[roots], min(NEIGHBOURS, len(body)))[1].reshape(-1)]
             share = weights[near].mean(axis=0)
         said = carriers[rows[carriers[rows] >= 0]]
         carrier = int(np.bincount(said).argmax()) if len(said) else -1
@@ -149,7 +145,7 @@ def eased_border(clothed: ClothedCharacter) -> np.ndarray:
     if len(edges):
         body = np.unique(np.where(cloth[edges[:, 0]], edges[:, 1], edges[:, 0]))
         away = cKDTree(clean.vertices[body] * clean.scale + clean.center).query(clothed.rest)[0]
-        out *= smooth_step(away / clothed.scale, 0.0, BORDER).astype(np.float32)
+        out *= smooth_step(away / clothed.scale, 0.0, BESIDE).astype(np.float32)
     return out
 
 
@@ -168,7 +164,7 @@ def _without_specks(vertices: np.ndarray, faces: np.ndarray, apparel: np.ndarray
     """The mask without parts of few vertices, and without those too short to swing: eyes, bolts and buttons."""
     part = apparel_parts(vertices, faces, apparel)
     sizes = np.bincount(part[apparel], minlength=1)
-    small = sizes < max(4, _SMALL * apparel.sum())
+    small = sizes < 4
     for number in np.flatnonzero(~small):
         small[number] = np.linalg.norm(np.ptp(vertices[part == number], axis=0)) < least
     out = apparel.copy()

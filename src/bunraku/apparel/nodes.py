@@ -60,8 +60,8 @@ def _welded(vertices: np.ndarray, faces: np.ndarray, apparel: np.ndarray) -> tup
     return clean.index, unique_edges(clean.faces, len(cloth)), cloth
 
 
-NEIGHBOURS = 6
-LEAST = 3  # nodes of a part
+NEIGHBOURS = 6  # of a node, or of another point of apparel, as the networks were trained
+LEAST = 3  # nodes of a part, as the networks were trained
 HELD = 0.08  # of a part's extent: vertices as near to what holds it are held, as the networks were trained
 
 
@@ -217,9 +217,6 @@ def node_swing(clothed: ClothedCharacter, nodes: ApparelNodes) -> Swing:
     return guessed_swing(nodes.held, clothed.stiffness[nodes.part], clothed.damping[nodes.part])
 
 
-LEAST_VALUE = np.float32(-1e4)  # below any feature, for a part without points
-
-
 @dataclass(frozen=True, eq=False)
 class NodeGraph:
     """Neighbours (M, K) and parts (M,), by any numbers from 0, of M points of one mesh."""
@@ -250,7 +247,7 @@ class NodeGraph:
     def largest_of_part(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The largest of each channel in each part with points, (P, C), and the row of each point's part, (M,)."""
         order, starts, number = self._runs
-        return np.maximum(np.maximum.reduceat(values[order], starts, axis=0), LEAST_VALUE), number
+        return np.maximum.reduceat(values[order], starts, axis=0), number
 
 
 class EdgeBlock:

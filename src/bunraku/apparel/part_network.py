@@ -2,7 +2,7 @@
 says of each point.
 
 The network is a hierarchy of points (PointNet++, Qi et al. 2017) with a transformer over the coarsest. The first
-`CENTRES` points cover the surface evenly, and the first `TOKENS` of those cover it coarsely. Points gather from their
+`centres` of the config cover the surface evenly, and its first `tokens` cover it coarsely. Points gather from their
 neighbours on the way up, and answers come back down by interpolation. Here it runs without torch.
 """
 
@@ -24,22 +24,36 @@ and what lies about it.
 """
 CARRIERS = ("head", "chest", "pelvis", "left arm", "right arm", "left leg", "right leg")
 """What a part goes with."""
-SCALES = (20.0, 12.0, 6.0)
-"""What positions from a centre are multiplied by, from the finest level up; the weights were trained with them."""
+# Numbers of a point: its position as waves, the shape about it, and all that the shipped network was trained with.
 WAVES = 3 + 2 * 9
-POINTS, CENTRES, TOKENS = 4096, 1024, 256
-GATHERED, BESIDE = 12, 8
-"""Points that a centre gathers from the level below, and centres beside it that it looks at."""
-LOCAL = 24
-"""Points whose spread says how flat the surface is here and whether another side is near."""
-THICK = 0.1
-"""Over the largest extent: another side farther off is not looked for. The shipped network was trained with it."""
-SMALL_PARTS = 0.3
-"""Points of a loose part go with its area to the power of one less this, so that small parts get some. The shipped
-network was trained with it.
-"""
 SHAPE = 6
 FEATURES = 3 + 3 + 4 + 7 + SHAPE
+
+
+@dataclass(frozen=True)
+class PartConfig:
+    """Shape of the part network."""
+
+    fine: int = 64  # channels of points
+    middle: int = 112  # channels of centres
+    coarse: int = 128  # channels of tokens
+    layers: int = 4  # transformer layers over the tokens
+    heads: int = 4  # of their attention
+    # before, after: blocks over the centres before and after the transformer
+    before: int = 2
+    after: int = 2
+    # points, centres, tokens: how many there are
+    points: int = 4096
+    centres: int = 1024
+    tokens: int = 256
+    gathered: int = 12  # points that a centre gathers from the level below
+    beside: int = 8  # centres beside it that it looks at
+    # what positions from a centre are multiplied by, from the finest level up
+    scales: tuple[float, float, float] = (20.0, 12.0, 6.0)
+    local: int = 24  # points whose spread says how flat the surface is and whether another side is near
+    thick: float = 0.1  # over the largest extent: another side farther off is not looked for
+    # points of a loose part go with its area to the power of one less this, so that small parts get some
+    small_parts: float = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,12 +73,12 @@ class PartPoints:
 
     surface: Surface  # its points
     vertex: np.ndarray  # the vertex of the mesh nearest to each point within its face, shape (S,)
-    gather: np.ndarray  # for each centre, points near it, shape (CENTRES, GATHERED)
-    beside: np.ndarray  # for each centre, centres near it, shape (CENTRES, BESIDE)
-    gather_up: np.ndarray  # for each token, centres near it, shape (TOKENS, GATHERED)
-    down: np.ndarray  # for each centre, the nearest tokens, shape (CENTRES, 3), and their shares
+    gather: np.ndarray  # for each centre, points near it, shape (centres, gathered)
+    beside: np.ndarray  # for each centre, centres near it, shape (centres, beside)
+    gather_up: np.ndarray  # for each token, centres near it, shape (tokens, gathered)
+    down: np.ndarray  # for each centre, the nearest tokens, shape (centres, 3), and their shares
     down_shares: np.ndarray  # as said
-    fine: np.ndarray  # for each point, the nearest centres, shape (POINTS, 3), and their shares
+    fine: np.ndarray  # for each point, the nearest centres, shape (points, 3), and their shares
     fine_shares: np.ndarray  # as said
 
 
@@ -78,8 +92,9 @@ def loose_parts(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def part_points(
-    vertices: np.ndarray, faces: np.ndarray, own: np.ndarray, colors: np.ndarray | None = None, seed: int = 0
-) -> PartPoints:
+    vertices: np.ndarray, faces: np.ndarray, own: np.ndarray, colors: np.ndarray | None = None, seed: int = 0,
+    how: PartConfig | None = None,
+) -> PartPoints:  # fmt: skip
     """Sample a mesh by area.
 
     Args:
@@ -88,35 +103,37 @@ def part_points(
         own: Loose part of each face (`loose_parts`), shape (F,).
         colors: sRGB from 0 to 1 of each vertex, shape (V, 3), or None.
         seed: Of what is taken.
+        how: How many points, and how they lie; of a new network when None.
     """
+    how = how or PartConfig()
     rng = np.random.default_rng(seed)
     vertices, faces = np.asarray(vertices, np.float64), np.asarray(faces, np.int64)
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     cross = np.cross(b - a, c - a)
     area = np.linalg.norm(cross, axis=1)
     whole = np.bincount(own, area)
-    chance = area * np.maximum(whole, 1e-12 * whole.sum())[own] ** -SMALL_PARTS
-    chosen = np.searchsorted(np.cumsum(chance), rng.random(POINTS) * chance.sum()).clip(0, len(faces) - 1)
-    r, s = np.sqrt(rng.random(POINTS)), rng.random(POINTS)
+    chance = area * np.maximum(whole, 1e-12 * whole.sum())[own] ** -how.small_parts
+    chosen = np.searchsorted(np.cumsum(chance), rng.random(how.points) * chance.sum()).clip(0, len(faces) - 1)
+    r, s = np.sqrt(rng.random(how.points)), rng.random(how.points)
     shares = np.stack([1 - r, r * (1 - s), r * s], axis=1)
     points = np.einsum("pc,pcx->px", shares, vertices[faces[chosen]])
     normals = cross[chosen] / np.maximum(area[chosen], 1e-30)[:, None]
     used = vertices[np.unique(faces)]
     low, high = used.min(axis=0), used.max(axis=0)
     points = (points - 0.5 * (low + high)) / max(float((high - low).max()), 1e-12)
-    order = _spread_order(points, CENTRES, int(rng.integers(POINTS)))
+    order = _spread_order(points, how.centres, int(rng.integers(how.points)))
     points, normals, chosen, shares = points[order], normals[order], chosen[order], shares[order]
     tint = None if colors is None else np.einsum("pc,pcx->px", shares, np.asarray(colors, np.float64)[faces[chosen]])
-    tree, centres = cKDTree(points), cKDTree(points[:CENTRES])
-    near = tree.query(points, LOCAL)[1]
+    tree, centres = cKDTree(points), cKDTree(points[: how.centres])
+    near = tree.query(points, how.local)[1]
     fine, fine_shares = _nearest(centres, points)
-    down, down_shares = _nearest(cKDTree(points[:TOKENS]), points[:CENTRES])
+    down, down_shares = _nearest(cKDTree(points[: how.tokens]), points[: how.centres])
     return PartPoints(
-        Surface(points, normals, tint, own[chosen], _local_shape(points, normals, near)),
+        Surface(points, normals, tint, own[chosen], _local_shape(points, normals, near, how.thick)),
         faces[chosen, shares.argmax(axis=1)],
-        near[:CENTRES, :GATHERED],
-        centres.query(points[:CENTRES], BESIDE)[1],
-        centres.query(points[:TOKENS], GATHERED)[1],
+        near[: how.centres, : how.gathered],
+        centres.query(points[: how.centres], how.beside)[1],
+        centres.query(points[: how.tokens], how.gathered)[1],
         down,
         down_shares,
         fine,
@@ -163,9 +180,9 @@ def _nearest(tree: cKDTree, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return found, weight / weight.sum(axis=1, keepdims=True)
 
 
-def _local_shape(points: np.ndarray, normals: np.ndarray, near: np.ndarray) -> np.ndarray:
+def _local_shape(points: np.ndarray, normals: np.ndarray, near: np.ndarray, thick: float) -> np.ndarray:
     """How points lie about each: as a line, a plane or all around; how alike their normals are; whether they lie before
-    or behind it; how near another side of the surface is. Shape (S, SHAPE).
+    or behind it; how near another side of the surface is, of `thick`. Shape (S, SHAPE).
     """
     away = points[near] - points[:, None]
     spread = np.einsum("pkx,pky->pxy", away, away)
@@ -175,24 +192,10 @@ def _local_shape(points: np.ndarray, normals: np.ndarray, near: np.ndarray) -> n
     ahead = np.einsum("pkx,px->pk", away, normals)
     size = np.sqrt(high[:, 0] / near.shape[1])
     length = np.linalg.norm(away, axis=2)
-    side = np.where(other < -0.3, length, THICK).min(axis=1).clip(max=THICK) / THICK
+    side = np.where(other < -0.3, length, thick).min(axis=1).clip(max=thick) / thick
     return np.stack(
         [flat[:, 0], flat[:, 1], other.mean(axis=1), ahead.mean(axis=1) / size, side, 10 * size.clip(max=0.1)], axis=1
     )
-
-
-@dataclass(frozen=True)
-class PartConfig:
-    """Shape of the part network."""
-
-    fine: int = 64  # channels of points
-    middle: int = 112  # channels of centres
-    coarse: int = 128  # channels of tokens
-    layers: int = 4  # transformer layers over the tokens
-    heads: int = 4  # of their attention
-    # before, after: blocks over the centres before and after the transformer
-    before: int = 2
-    after: int = 2
 
 
 class _Near:
@@ -223,9 +226,9 @@ class _Gather:
 
 
 class _Beside:
-    def __init__(self, width: int, weights: Weights):
+    def __init__(self, width: int, scale: float, weights: Weights):
         self._norm: Norm = weights.norm("norm", width)
-        self._near = _Near(width, width, SCALES[1], weights.part("near"))
+        self._near = _Near(width, width, scale, weights.part("near"))
         self._mix = weights.perceptron("mix leave", 2 * width, width, width)
 
     def __call__(self, x: np.ndarray, points: np.ndarray, index: np.ndarray) -> np.ndarray:
@@ -248,15 +251,19 @@ class PartNetwork:
         fine, middle, coarse = config.fine, config.middle, config.coarse
         self._enter = weights.perceptron("enter.0 enter.2", FEATURES, fine, fine)
         self._piece = weights.linear("piece", 2 * fine, fine)
-        self._to_centres = _Gather(fine, middle, SCALES[0], weights.part("to_centres"))
-        self._before = [_Beside(middle, weights.part(f"before.{number}")) for number in range(config.before)]
-        self._to_tokens = _Gather(middle, coarse, SCALES[2], weights.part("to_tokens"))
+        self._to_centres = _Gather(fine, middle, config.scales[0], weights.part("to_centres"))
+        self._before = [
+            _Beside(middle, config.scales[1], weights.part(f"before.{number}")) for number in range(config.before)
+        ]
+        self._to_tokens = _Gather(middle, coarse, config.scales[2], weights.part("to_tokens"))
         self._where = weights.linear("where", WAVES, coarse)
         names = "enter leave norm_a wide narrow norm_b"
         layers = weights.pre_norms("layers", config.layers, names, coarse, config.heads, 3 * coarse)
         self._layers = [weights.norm("norm_tokens", coarse), *layers, weights.norm("norm", coarse)]
         self._down = weights.linear("down", middle + coarse, middle)
-        self._after = [_Beside(middle, weights.part(f"after.{number}")) for number in range(config.after)]
+        self._after = [
+            _Beside(middle, config.scales[1], weights.part(f"after.{number}")) for number in range(config.after)
+        ]
         self._last = weights.linear("last", fine + middle, middle)
         self._whole = weights.linear("whole", 2 * middle, middle)
         out = len(PARTS) + 1 + len(CARRIERS)
@@ -282,15 +289,15 @@ class PartNetwork:
             near: Neighbours and shares.
             chosen: Points that are asked for, which `fine` is of; all where None.
         """
-        centres, beside = points[: len(near.gather)], near.beside[:, :BESIDE]
+        centres, beside = points[: len(near.gather)], near.beside[:, : self.config.beside]
         x = self._enter(features)
         x += gelu(self._piece(np.concatenate([x, piece_mean(gelu(x.copy()), piece)], axis=1)))
-        y = self._to_centres(x, points, near.gather[:, :GATHERED])
+        y = self._to_centres(x, points, near.gather[:, : self.config.gathered])
         for block in self._before:
             y = block(y, centres, beside)
-        z = self._to_tokens(y, centres, near.gather_up[:, :GATHERED])
+        z = self._to_tokens(y, centres, near.gather_up[:, : self.config.gathered])
         z = z + self._where(waves(points[: len(near.gather_up)]))
-        z = through(self._layers, z.reshape(-1, TOKENS, self.config.coarse)).reshape(-1, self.config.coarse)
+        z = through(self._layers, z.reshape(-1, self.config.tokens, self.config.coarse)).reshape(-1, self.config.coarse)
         z = blended(z, near.down, near.down_shares)
         y += self._down(np.concatenate([y, z], axis=1))
         for block in self._after:

@@ -48,7 +48,7 @@ less than 10 %.
 HOLDING = 10  # percentile of distances: so much of a part, nearest to the body, says what holds it; chosen by eye
 MOSTLY = 0.6  # of the surface about what is worn: where one limb has less of it, it bends; chosen by eye
 LEAST_SHARE = 0.1  # of the weights about a part: a carrier that has less of them is not what holds it; chosen by eye
-KNOWN = 4  # characters whose parts stay in memory
+KNOWN = 4  # characters whose parts stay in memory, by definition 0.7 MB each at 10,000 vertices
 _HEAD, _CHEST = HANDLE_NAMES.index("head"), HANDLE_NAMES.index("spine3")
 
 
@@ -174,7 +174,7 @@ def find_parts(
     placed = (vertices - 0.5 * (low + high)) / max(float((high - low).max()), 1e-12)
     count = len(PARTS)
     with one_thread():
-        seen = part_points(vertices, faces, own, colors)
+        seen = part_points(vertices, faces, own, colors, how=model.config)
         # Painted or not, a part is the same: where there are colours, both answers count.
         plain = replace(seen, surface=replace(seen.surface, colors=None))
         scores = [model.scores(view) for view in ((plain,) if colors is None else (plain, seen))]

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from bunraku.anatomy.anatomy import Anatomy
-from bunraku.apparel.body import UnifiedBody
+from bunraku.apparel.body import UnifiedBody, eq4_transforms
 from bunraku.apparel.chains.body_collisions import CHAIN_REPAIRS, BindToSkin
 from bunraku.apparel.chains.chain import parameters_beside
 from bunraku.apparel.chains.chain_rig import on_handle_rig
@@ -23,7 +23,6 @@ from bunraku.apparel.chains.from_shape import with_parts_from_file
 from bunraku.apparel.chains.moving import moving_rig, steady_simulation, with_apparel
 from bunraku.apparel.clothed import ClothedCharacter
 from bunraku.apparel.fitting import eased_border
-from bunraku.apparel.layers import Layers
 from bunraku.apparel.learned.network import DisplacementNetwork, load_displacement
 from bunraku.apparel.learned.player import ApparelPlayer
 from bunraku.apparel.mask import artist_mask, artist_mask_file, read_artist_mask
@@ -235,17 +234,18 @@ def learned(
     player = ApparelPlayer(clothed, shipped_displacement(clothed), safe=safe)
     player.start(transforms[0])
     chosen = player.carrier.vertices
-    skinned = moved.vertices(chosen=chosen)
+    skinned = moved.vertices()
     positions = np.zeros((len(transforms), len(chosen), 3), np.float32)
     for frame, pose in enumerate(transforms):
         positions[frame] = player.advance(pose)
         if frame % 16 == 0:
             progress("apparel", frame / len(transforms))
-    layers = Layers(clothed, chosen)
-    if safe and len(layers.seen):
-        beneath = moved.vertices(chosen=layers.seen)
-        positions = layers.clip(positions, beneath, lambda done: progress("layers", done))
     offsets = np.zeros((len(transforms), len(clothed.rest), 3), np.float32)
-    offsets[:, chosen] = eased_border(clothed)[chosen, None] * (positions - skinned)
+    offsets[:, chosen] = eased_border(clothed)[chosen, None] * (positions - skinned[:, chosen])
+    if safe:
+        bind = BindToSkin()
+        frames = bind.seen(len(transforms))
+        affine = eq4_transforms(transforms[frames], clothed.joints)
+        offsets *= bind.free(clothed, affine, skinned[frames] + offsets[frames], skinned[frames])[:, None]
     progress("apparel", 1.0)
     return PointAnimation(moved, offsets)

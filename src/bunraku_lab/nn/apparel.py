@@ -20,14 +20,9 @@ from bunraku.apparel.learned.features import (
     rest_transforms,
 )
 from bunraku.apparel.learned.network import (
-    CHANGE,
-    KEEP,
-    MOTION,
-    MOTION_HIDDEN,
     NODE_INPUT,
     OWN_STATE,
     SET,
-    SHARE,
     WORLD_STATE,
     DisplacementConfig,
 )
@@ -80,16 +75,16 @@ class NodeEncoder(nn.Module):
     mean: torch.Tensor
     std: torch.Tensor
 
-    def __init__(self, extra: int = 0, width: int = 96, blocks: int = 2, motion: int = MOTION):
+    def __init__(self, config: DisplacementConfig, width: int, extra: int = 0):
         super().__init__()
-        count = NODE_INPUT + extra
+        count, (hidden, motion) = NODE_INPUT + extra, config.motion
         self.register_buffer("mean", torch.zeros(count))
         self.register_buffer("std", torch.ones(count))
-        self.motion = nn.Sequential(nn.Linear(GLOBAL, MOTION_HIDDEN), nn.GELU(), nn.Linear(MOTION_HIDDEN, motion))
+        self.motion = nn.Sequential(nn.Linear(GLOBAL, hidden), nn.GELU(), nn.Linear(hidden, motion))
         self.enter = nn.Sequential(
             nn.Linear(count + motion, width), nn.GELU(), nn.Linear(width, width), nn.LayerNorm(width)
         )  # without the norm the features grow a hundredfold in training, and the decoder dies
-        self.blocks = nn.ModuleList(EdgeBlock(width) for _ in range(blocks))
+        self.blocks = nn.ModuleList(EdgeBlock(width) for _ in range(config.blocks))
 
     def forward(self, nodes: torch.Tensor, inputs: Inputs) -> torch.Tensor:
         """Shape (M, NODE_INPUT + extra) -> (M, width)."""
@@ -104,12 +99,13 @@ class AnchorHead(nn.Module):
     """The head.
 
     Args:
-        width, blocks: As in `NodeEncoder`.
+        config: Of the network.
     """
 
-    def __init__(self, width: int = 96, blocks: int = 2):
+    def __init__(self, config: DisplacementConfig):
         super().__init__()
-        self.encoder = NodeEncoder(0, width, blocks)
+        self.most, width = config.share, config.width
+        self.encoder = NodeEncoder(config, width)
         last = nn.Linear(width, BASIS + 3)
         self.decoder = nn.Sequential(nn.Linear(width, width), nn.GELU(), last)
         nn.init.normal_(last.weight, 0, 1e-3)
@@ -118,7 +114,7 @@ class AnchorHead(nn.Module):
     def forward(self, inputs: Inputs) -> torch.Tensor:
         """Displacement of each node in the frame of its carrying joint, over the character's size, shape (M, 3)."""
         out = self.decoder(self.encoder(inputs.nodes(), inputs))
-        share = SHARE * torch.tanh(out[:, :BASIS])
+        share = self.most * torch.tanh(out[:, :BASIS])
         mixed: torch.Tensor = torch.einsum("mk,mka->ma", share, inputs.vectors[:, :BASIS]) + out[:, BASIS:]
         return mixed
 
@@ -177,14 +173,14 @@ class RecurrentPart(nn.Module):
     """The network f_d.
 
     Args:
-        width, blocks: As in `NodeEncoder`.
-        world: Whether it is the paper's form.
+        config: Of the network.
     """
 
-    def __init__(self, width: int = 64, blocks: int = 2, world: bool = False):
+    def __init__(self, config: DisplacementConfig):
         super().__init__()
+        self.config, width, world = config, config.recurrent, config.frame == "world"
         self.world = world
-        self.encoder = NodeEncoder(WORLD_STATE if world else OWN_STATE, width, blocks)
+        self.encoder = NodeEncoder(config, width, WORLD_STATE if world else OWN_STATE)
         last = nn.Linear(width, 3 if world else SET)
         self.decoder = nn.Sequential(nn.Linear(width, width), nn.GELU(), last)
         nn.init.zeros_(last.weight)
@@ -229,11 +225,12 @@ class RecurrentPart(nn.Module):
         speed = own_change.norm(dim=1, keepdim=True)
         own = torch.cat([state, inertia, late, own_change, head_change, speed], dim=1)
         out = self.decoder(self.encoder(torch.cat([inputs.nodes(), own], dim=1), inputs))
-        keep = KEEP * torch.sigmoid(out[:, :1])
+        keep = self.config.keep * torch.sigmoid(out[:, :1])
         shares = torch.softmax(torch.cat([out[:, 1:3], torch.zeros_like(out[:, :1])], dim=1), dim=1)
         followed = torch.sigmoid(out[:, 3:4])
         kept = past.rest[0] + shares[:, :1] * state[:, 3:6] + shares[:, 1:2] * inertia - (1 - followed) * head_change
-        rest = keep * kept + CHANGE * torch.tanh(out[:, 4:] / CHANGE)
+        most = self.config.change
+        rest = keep * kept + most * torch.tanh(out[:, 4:] / most)
         moved = anchor + rest
         now = positions + torch.einsum("mab,mb->ma", turns, moved)
         whole = torch.stack([moved, past.whole[0]])
@@ -253,10 +250,8 @@ class DisplacementNetwork(SavedNetwork):
     def __init__(self, config: DisplacementConfig | None = None):
         super().__init__()
         self.config = config = config or DisplacementConfig()
-        self.anchor = AnchorHead(config.width, config.blocks)
-        self.recurrent = (
-            RecurrentPart(config.recurrent, config.blocks, config.frame == "world") if config.recurrent else None
-        )
+        self.anchor = AnchorHead(config)
+        self.recurrent = RecurrentPart(config) if config.recurrent else None
 
 
 def running_displacement(model: DisplacementNetwork) -> network.DisplacementNetwork:

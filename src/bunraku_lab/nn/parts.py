@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from bunraku.apparel import part_network
-from bunraku.apparel.part_network import BESIDE, CENTRES, GATHERED, POINTS, TOKENS, PartConfig
+from bunraku.apparel.part_network import PartConfig
 from bunraku_lab.nn.differentiable import OPERATIONS, Array, Trainable
 
 
@@ -19,34 +19,35 @@ class PointBatch:
     points.
 
     Args:
-        features: Shape (B, POINTS, FEATURES).
-        points: Shape (B, POINTS, 3).
-        pieces: Loose part of each point, from 0, shape (B, POINTS).
+        features: Shape (B, S, FEATURES).
+        points: Shape (B, S, 3).
+        pieces: Loose part of each point, from 0, shape (B, S).
         tables: `gather`, `beside`, `gather_up`, `down` and `fine` of `PartPoints`, shape (B, ...), and the shares
             `down_shares` and `fine_shares`.
     """
 
     def __init__(self, features: np.ndarray, points: np.ndarray, pieces: np.ndarray, tables: dict[str, np.ndarray]):
-        batch = len(features)
-        number = np.arange(batch * POINTS).reshape(batch, POINTS)
-        cut = (part.reshape(-1) for part in np.split(number, [TOKENS, CENTRES], axis=1))
-        mesh, point = np.divmod(np.concatenate(list(cut)), POINTS)
-        rows = np.empty((batch, POINTS), np.int64)
-        rows[mesh, point] = np.arange(batch * POINTS)
+        batch, count = features.shape[:2]
+        number = np.arange(batch * count).reshape(batch, count)
+        ends = [tables["gather_up"].shape[1], tables["gather"].shape[1]]
+        cut = (part.reshape(-1) for part in np.split(number, ends, axis=1))
+        mesh, point = np.divmod(np.concatenate(list(cut)), count)
+        rows = np.empty((batch, count), np.int64)
+        rows[mesh, point] = np.arange(batch * count)
         self.rows = torch.from_numpy(rows.reshape(-1))
         """The row of each point of each mesh."""
         self.features = torch.from_numpy(features[mesh, point])
         self.points = torch.from_numpy(points[mesh, point].astype(np.float32))
-        whole = pieces.astype(np.int64) + POINTS * np.arange(batch)[:, None]
+        whole = pieces.astype(np.int64) + count * np.arange(batch)[:, None]
         self.piece = torch.from_numpy(np.unique(whole[mesh, point], return_inverse=True)[1])
         self.near: dict[str, torch.Tensor] = {}
         """The tables by row."""
         for name, table in tables.items():
-            count = batch * table.shape[1]
-            values = table[mesh[:count], point[:count]]
+            used = batch * table.shape[1]
+            values = table[mesh[:used], point[:used]]
             shares = name.endswith("_shares")
             self.near[name] = torch.from_numpy(
-                values.astype(np.float32) if shares else rows[mesh[:count, None], values.astype(np.int64)]
+                values.astype(np.float32) if shares else rows[mesh[:used, None], values.astype(np.int64)]
             )
 
 
@@ -129,7 +130,7 @@ class PartNetwork(Trainable):
     kind, shape, network = "parts", PartConfig, part_network.PartNetwork
 
     def forward(self, batch: PointBatch, chosen: torch.Tensor | None = None) -> torch.Tensor:
-        """Scores of the parts, of hanging, and of the carriers, shape (B * POINTS, parts + 1 + carriers).
+        """Scores of the parts, of hanging, and of the carriers, shape (B * S, parts + 1 + carriers).
 
         Args:
             batch: The meshes.
@@ -149,7 +150,8 @@ def point_batch(
     pieces: Sequence[np.ndarray],
 ) -> PointBatch:
     """Rows of shards as one block."""
-    widths = {"beside": BESIDE, "gather": GATHERED, "gather_up": GATHERED}
+    how = PartConfig()
+    widths = {"beside": how.beside, "gather": how.gathered, "gather_up": how.gathered}
     names = ("gather", "beside", "gather_up", "down", "fine", "down_shares", "fine_shares")
     tables = {name: np.stack([row[name][:, : widths.get(name, 3)] for row in rows]) for name in names}
     return PointBatch(np.stack(features), np.stack(points), np.stack(pieces), tables)

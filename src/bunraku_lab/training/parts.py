@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch.nn import functional as F
 
-from bunraku.apparel.part_network import CARRIERS, PARTS, POINTS, PartConfig, Surface, point_features
+from bunraku.apparel.part_network import CARRIERS, PARTS, PartConfig, Surface, point_features
 from bunraku.errors import OptionError
 from bunraku_lab.nn.parts import PartNetwork, point_batch
 from bunraku_lab.training.parts_data import SOURCES, PartData
@@ -168,7 +168,7 @@ class PartTrainer(AveragedRun[PartNetwork]):
             self.data.refresh()
         rows = self.data.drawn(config.batch, self.rng)
         seen = [seen_row(row, self.rng) for row in rows]
-        every = config.batch * POINTS
+        every = config.batch * config.network.points
         chosen = np.sort(self.rng.choice(every, round(config.judged * every), replace=False))
         batch = point_batch(rows, [one[0] for one in seen], [one[1] for one in seen], [one[3] for one in seen])
         out = self.model(batch, torch.from_numpy(chosen))

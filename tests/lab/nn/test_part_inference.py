@@ -7,11 +7,8 @@ import pytest
 
 from bunraku.apparel.part_network import (
     CARRIERS,
-    CENTRES,
     FEATURES,
     PARTS,
-    POINTS,
-    TOKENS,
     PartConfig,
     load_parts,
     loose_parts,
@@ -49,8 +46,8 @@ def test_points_lie_on_the_mesh_and_do_not_depend_on_where_it_stands_or_how_larg
     vertices, faces = two_balls()
     own = loose_parts(vertices, faces)
     seen = part_points(vertices, faces, own, seed=3)
-    assert seen.surface.points.shape == (POINTS, 3)
-    assert seen.gather.shape[0] == seen.beside.shape[0] == CENTRES and seen.gather_up.shape[0] == TOKENS
+    assert seen.surface.points.shape == (SMALL.points, 3)
+    assert seen.gather.shape[0] == seen.beside.shape[0] == SMALL.centres and seen.gather_up.shape[0] == SMALL.tokens
     assert set(np.unique(seen.surface.part)) == {0, 1}
     size, middle = np.ptp(vertices, axis=0).max(), 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     placed = seen.surface.points * size + middle
@@ -59,9 +56,9 @@ def test_points_lie_on_the_mesh_and_do_not_depend_on_where_it_stands_or_how_larg
     assert np.abs(np.linalg.norm(placed - centre, axis=1) - radius).max() < 0.03
     again = part_points(7 * vertices + [1, 2, 3], faces, own, seed=3)
     assert np.allclose(point_features(again.surface), point_features(seen.surface), atol=1e-4)
-    assert point_features(seen.surface).shape == (POINTS, FEATURES)
+    assert point_features(seen.surface).shape == (SMALL.points, FEATURES)
     # The first points cover the surface: no point is far from them.
-    gaps = np.linalg.norm(seen.surface.points[:, None] - seen.surface.points[None, :TOKENS], axis=2).min(axis=1)
+    gaps = np.linalg.norm(seen.surface.points[:, None] - seen.surface.points[None, : SMALL.tokens], axis=2).min(axis=1)
     assert gaps.max() < 0.12
 
 

@@ -11,11 +11,11 @@ import numpy as np
 from bunraku.apparel.chains.chain import Chain
 from bunraku.apparel.chains.chain_rig import Chained
 from bunraku.apparel.chains.moving import steady_simulation
+from bunraku.apparel.clothed import RATE
+from bunraku.apparel.physics.rig import VRM_RATE
 from bunraku.core.animation import RigAnimation
 from bunraku.core.avatars import MmdModel, MmdSdef, VrmCollider, VrmModel, VrmSpring, VrmSpringJoint
 from bunraku.core.geometry.rotations import matrix_from_axis_angle, rotation_between
-
-RATE = 60  # steps a second
 
 VrmValues = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Stiffness, drag and gravity power of links, each of shape (C, S) or one that fits."""
@@ -23,7 +23,7 @@ VrmValues = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 def between_frames(turns: np.ndarray, positions: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray]:
     """Rotations, of the nearest frames, and positions, linear, of frames (N, ...) at the times of VRM's steps."""
-    parts = max(1, round(RATE / fps))
+    parts = max(1, round(VRM_RATE / fps))
     time = np.arange((len(positions) - 1) * parts + 1) / parts
     before = np.minimum(time.astype(np.int64), len(positions) - 1)
     after = np.minimum(before + 1, len(positions) - 1)
@@ -49,8 +49,8 @@ def vrm_steps(turns: np.ndarray, heads: np.ndarray, bones: np.ndarray, values: V
     stiffness, drag, gravity = np.broadcast_arrays(*values)
     length = np.linalg.norm(bones, axis=1)[:, None, None]
     aims = np.einsum("tcab,cb->tca", turns, bones / np.maximum(length[:, 0], 1e-9))[:, :, None]
-    keep, back = (1 - drag)[..., None], (stiffness / RATE)[..., None]
-    fall = np.stack([np.zeros_like(gravity), -gravity / RATE, np.zeros_like(gravity)], axis=-1)
+    keep, back = (1 - drag)[..., None], (stiffness / VRM_RATE)[..., None]
+    fall = np.stack([np.zeros_like(gravity), -gravity / VRM_RATE, np.zeros_like(gravity)], axis=-1)
     now = before = np.broadcast_to(heads[0][:, None] + length * aims[0], fall.shape)
     yield now
     for head, aim in zip(heads[1:], aims[1:], strict=True):
@@ -68,7 +68,6 @@ def link_turns(turns: np.ndarray, heads: np.ndarray, bones: np.ndarray, tails: n
     return np.asarray(rotation_between(aims, tails - heads) @ turns)
 
 
-FPS = 30.0
 # Gravity over stiffness is how far a link hangs down. Softer links with less drag swing on in motions that they were
 # not fitted to.
 _GRID = np.array([(stiffness, drag, stiffness * sag) for stiffness, drag, sag in product(
@@ -129,7 +128,7 @@ class _Path:
         bones = [[*chain.bones[1:], end] for chain, end in zip(chained.chains, chained.ends, strict=True)]
         holders, firsts = ([int(bone) for bone in row] for row in zip(
             *((chain.holder, chain.bones[0]) for chain in chained.chains), strict=True))  # fmt: skip
-        turns, heads = between_frames(rotations[:, holders], positions[:, firsts], FPS)
+        turns, heads = between_frames(rotations[:, holders], positions[:, firsts], RATE)
         rigid = [np.linalg.norm(positions[:, tails] - still[:, tails], axis=-1).mean() for tails in bones]
         return cls(turns, heads, [positions[:, tails] for tails in bones], np.maximum(rigid, 1e-6))
 
@@ -157,7 +156,7 @@ def _swaying(chained: Chained, sway: _Sway) -> RigAnimation:
     """The animation of a `_Sway`."""
     rig = chained.character.rig
     assert rig is not None
-    time = np.arange(round(sway.seconds * FPS)) / FPS
+    time = np.arange(round(sway.seconds * RATE)) / RATE
     count = len(rig.names)
     rotations = np.tile(np.eye(3), (len(time), count, 1, 1))
     translations = np.zeros((len(time), count, 3))
@@ -183,10 +182,7 @@ def _swaying(chained: Chained, sway: _Sway) -> RigAnimation:
         forward = 0.25 * np.sin(2 * np.pi * 0.3 * time)
     aside, up = sway.aside * np.sin(2 * np.pi * 0.5 * time), sway.up * np.sin(2 * np.pi * 1.9 * time)
     translations[:, top] = chained.character.height * np.stack([aside, up, forward], axis=1)
-    return RigAnimation(chained.character, rotations, translations, FPS)
-
-
-_DOWN = np.array([0.0, -1, 0])
+    return RigAnimation(chained.character, rotations, translations, RATE)
 
 
 def mmd_avatar(chained: Chained) -> MmdModel:
@@ -211,7 +207,7 @@ def vrm_avatar(chained: Chained) -> VrmModel:
         half = 0.5 * body.size[1] * body.rotation[:, 1]
         middle = body.position - rig.positions[body.bone]
         colliders.append(VrmCollider(body.bone, "capsule", middle - half, float(body.size[0]), middle + half))
-    springs = []
+    springs, down = [], np.array([0.0, -1, 0])
     groups: dict[tuple[int, ...], int] = {}
     for chain, end, values in zip(chained.chains, chained.ends, fitted_springs(chained), strict=True):
         rooms = _rooms(chain, chained)
@@ -221,8 +217,8 @@ def vrm_avatar(chained: Chained) -> VrmModel:
         for bone, width, setting in zip(chain.bones, chain.width, values, strict=True):
             stiffness, drag, gravity = setting.tolist()
             radius = float(np.clip(min(0.6 * width, room), 0.0, 0.04))
-            joints.append(VrmSpringJoint(int(bone), stiffness, gravity, _DOWN, drag, radius))
-        joints.append(VrmSpringJoint(end, 1.0, 0.0, _DOWN, float(values[-1, 1]), 0.0))
+            joints.append(VrmSpringJoint(int(bone), stiffness, gravity, down, drag, radius))
+        joints.append(VrmSpringJoint(end, 1.0, 0.0, down, float(values[-1, 1]), 0.0))
         group = (groups.setdefault(clear, len(groups)),) if clear else ()
         springs.append(VrmSpring(chain.name, tuple(joints), group))
     return VrmModel("1.0", chained.character.name, {}, tuple(springs), tuple(colliders), tuple(groups))

@@ -7,21 +7,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
-from scipy.spatial import cKDTree
 
 from bunraku.anatomy.handles.networks import farthest_points
-from bunraku.apparel.body import ASIDE, BAND, PLANES, BodyPoints, Planes, PosedBody, surface_points
+from bunraku.apparel.body import BAND, PLANES, BodyPoints, Planes, PosedBody, surface_points
 from bunraku.apparel.chains.chain_rig import CLOTH
 from bunraku.apparel.chains.cloth_repairs import (
     ChainRepair,
     DressedChains,
     SmoothNeighbours,
     averaged_turns,
+    eased,
     on_skin,
 )
+from bunraku.apparel.clothed import BESIDE, LEGS, ClothedCharacter
 from bunraku.core.animation import Animation, RigAnimation
 from bunraku.core.body.layout import JOINT_NAMES
-from bunraku.core.geometry.curves import smooth_step
 from bunraku.core.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
 from bunraku.core.skinning import skin
 
@@ -31,7 +31,6 @@ _LIMB = np.array([
     for name in JOINT_NAMES
 ])  # fmt: skip
 """Of each joint: the trunk, an arm or a leg."""
-_LEG_LIMBS = (3, 4)
 STEEP = 0.3
 """Cosine of the ways out of a leg and of a skirt from which on the second is as long as it must be; chosen by eye."""
 
@@ -75,6 +74,7 @@ class PushOutOfBody:
             animation = links.rotated(animation, moved, push)
             if number in self.shared:
                 animation = links.shared(animation, first, dressed.chained.near)
+            animation = links.bounded(animation, first)
             moved = links.points(animation)
         return animation
 
@@ -121,9 +121,11 @@ class _Near:
                 point = point[rows]
                 # what is farther out does not come in while others are moved
                 height = planes.of(moved[frame, point])[0] - gap[point]
-                kept = np.flatnonzero(height < ASIDE * size)
+                kept = np.flatnonzero(height < BESIDE * size)
                 point = point[kept]
-                numbers.append(np.stack([np.full(len(kept), frame), point, np.full(len(kept), limb in _LEG_LIMBS)]))
+                numbers.append(
+                    np.stack([np.full(len(kept), frame), point, np.full(len(kept), limb in _LIMB[list(LEGS)])])
+                )
                 gaps.append(gap[point])
                 nearest.append(np.stack([planes.positions[kept], planes.normals[kept]]).astype(np.float32))
         frame, point, leg = np.concatenate(numbers, axis=1)
@@ -158,7 +160,6 @@ class BindToSkin:
     points: int = 3000  # of the body
     deep: float = 0.01  # over the size [m]
     often: float = 0.1  # share of the frames in which it is deeper than the skin
-    reach: float = 0.1  # distance from there at which apparel moves freely again, over the size [m]
 
     def __call__(
         self, animation: RigAnimation, plain: Animation | RigAnimation, dressed: DressedChains
@@ -166,31 +167,47 @@ class BindToSkin:
         """The animation whose cloth is on the skin where it must; `plain` is the same with all apparel on the body's
         skin.
         """
-        clothed, size = dressed.clothed, dressed.clothed.scale
-        sheets = [part for part, kind in enumerate(clothed.kinds) if kind in CLOTH]
+        frames = self.seen(len(animation))
+        affine = animation.transforms()[frames][:, dressed.bones]
+        free = self.free(dressed.clothed, affine, animation.vertices(frames), plain.vertices(frames))
+        return animation if free.all() else on_skin(animation, dressed.bare, free)
+
+    def seen(self, count: int) -> np.ndarray:
+        """Those of `count` frames that are looked at."""
+        return np.unique(np.linspace(0, count - 1, self.frames).astype(np.int64))
+
+    def free(self, clothed: ClothedCharacter, affine: np.ndarray, moved: np.ndarray, plain: np.ndarray) -> np.ndarray:
+        """How far each vertex moves freely, shape (V,); for the rest it is on the skin.
+
+        Args:
+            clothed: The character; all its apparel is looked at where its kinds are not known.
+            affine: Transforms of its joints in the frames that are `seen`, shape (N, 22, 3, 4).
+            moved: All vertices there [m], shape (N, V, 3).
+            plain: The same, with all apparel on the body's skin.
+        """
+        size, parts = clothed.scale, range(len(clothed.stiffness))
+        sheets = [part for part in parts if not clothed.kinds or clothed.kinds[part] in CLOTH]
         apparel, body = np.flatnonzero(np.isin(clothed.part, sheets)), surface_points(clothed, self.points)
+        free = np.ones(len(clothed.rest), np.float32)
         if not len(apparel) or not len(body.rest):
-            return animation
+            return free
         chosen = apparel
         if len(apparel) > self.vertices:
             chosen = apparel[farthest_points(clothed.rest[apparel].astype(np.float64), self.vertices)]
         gap = PosedBody(body.rest, body.normals).gap(clothed.rest[chosen], 0.0, size)
-        frames = np.unique(np.linspace(0, len(animation) - 1, self.frames).astype(np.int64))
-        affine = animation.transforms()[frames][:, dressed.bones]
         often = np.zeros(len(chosen))
-        for sign, moved in ((1, animation.vertices(frames)), (-1, plain.vertices(frames))):
-            for pose, points in zip(affine, moved[:, chosen], strict=True):
+        for sign, shown in ((1, moved), (-1, plain)):
+            for pose, points in zip(affine, shown[:, chosen], strict=True):
                 _, planes = PosedBody(*body.posed(pose)).planes(points)
                 lack, _ = planes.push(points, gap, np.inf, size)
-                often += sign * (lack > self.deep * size) / len(frames)
-        free = np.ones(len(clothed.rest), np.float32)
+                often += sign * (lack > self.deep * size) / len(affine)
         for part in sheets:
             through = chosen[(often > self.often) & (clothed.part[chosen] == part)]
             rows = np.flatnonzero(clothed.part == part)
             if len(through):
-                away = cKDTree(clothed.rest[through]).query(clothed.rest[rows])[0] / size
-                free[rows] = smooth_step(away, 0.0, self.reach)
-        return animation if free.all() else on_skin(animation, dressed.bare, free)
+                apart = np.linalg.norm(moved[:, rows] - plain[:, rows], axis=-1)
+                free[rows] = eased(clothed.rest[rows], clothed.rest[through], float(apart.max()))
+        return free
 
 
 class _Links:
@@ -269,6 +286,20 @@ class _Links:
             more = np.einsum("ncab,ncb->nca", parent, local)
             rotations[:, bones] = matrix_from_axis_angle(local) @ rotations[:, bones]
             turns[:, rows], moments[:, rows] = turn + more, moment + np.cross(more, heads[:, bones])
+        return replace(animation, rotations=rotations)
+
+    def bounded(self, animation: RigAnimation, first: np.ndarray) -> RigAnimation:
+        """The animation whose links, but those of cloth, are rotated no farther from rotations (N, J, 3, 3) than their
+        own limits: a lock that lies on the chest of a bent head must not fold up to the chin.
+        """
+        rotations, before = np.array(animation.rotations, np.float64), np.asarray(first, np.float64)
+        for chain in self.chains:
+            if chain.kind not in CLOTH:
+                here = before[:, chain.bones]
+                turn = axis_angle_from_matrix(rotations[:, chain.bones] @ np.swapaxes(here, 2, 3))
+                length = np.maximum(np.linalg.norm(turn, axis=-1, keepdims=True), 1e-9)
+                turn *= np.minimum(chain.limits[:, None] / length, 1)
+                rotations[:, chain.bones] = matrix_from_axis_angle(turn) @ here
         return replace(animation, rotations=rotations)
 
     def shared(

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from bunraku.anatomy.names.bone_words import APPAREL_KINDS
+from bunraku.apparel.clothed import BESIDE
 from bunraku.apparel.mask import file_beside
 from bunraku.core.character import Character
 from bunraku.core.files import atomic_write, read_bounded
@@ -43,16 +44,15 @@ class ChainParameters:
 
 # Limits and damping are medians of twelve MMD and VRM files and of the wardrobe: hair and tails turn 10 to 35 degrees,
 # cloth 15 to 50, little hard pieces 5 to 15, and 0.8 to 0.99 of the velocity is lost in a second.
-_DEGREE = np.pi / 180
 _PARAMETERS = {
-    "hair": ChainParameters(22 * _DEGREE, 0.6, 0.6, 0.93),
-    "skirt": ChainParameters(32 * _DEGREE, 0.25, 0.35, 0.93),
-    "cape": ChainParameters(32 * _DEGREE, 0.35, 0.2, 0.93),
-    "sleeve": ChainParameters(25 * _DEGREE, 1.0, 0.5, 0.93),
-    "tail": ChainParameters(22 * _DEGREE, 1.0, 1.0, 0.93),
-    "ear": ChainParameters(12 * _DEGREE, 1.0, 3.0, 0.95),
-    "ribbon": ChainParameters(30 * _DEGREE, 0.5, 0.4, 0.93, mass=0.25),
-    "strand": ChainParameters(18 * _DEGREE, 0.8, 0.8, 0.93),
+    "hair": ChainParameters(np.radians(22), 0.6, 0.6, 0.93),
+    "skirt": ChainParameters(np.radians(32), 0.25, 0.35, 0.93),
+    "cape": ChainParameters(np.radians(32), 0.35, 0.2, 0.93),
+    "sleeve": ChainParameters(np.radians(25), 1.0, 0.5, 0.93),
+    "tail": ChainParameters(np.radians(22), 1.0, 1.0, 0.93),
+    "ear": ChainParameters(np.radians(12), 1.0, 3.0, 0.95),
+    "ribbon": ChainParameters(np.radians(30), 0.5, 0.4, 0.93, mass=0.25),
+    "strand": ChainParameters(np.radians(18), 0.8, 0.8, 0.93),
 }
 
 
@@ -69,7 +69,7 @@ class LaidShape:
     def loose(self) -> float:
         """From 0, where nothing suggests that it swings, to 1, where it hangs freely and is slim."""
         hangs = 0.5 + 0.5 * self.down
-        return float(hangs * np.clip(self.slim / SLIM, 0, 1) * np.clip(self.gap / GAP, 0, 1))
+        return float(hangs * np.clip(self.slim / SLIM, 0, 1) * np.clip(self.gap / BESIDE, 0, 1))
 
     @property
     def weight(self) -> float:
@@ -84,7 +84,6 @@ _BEND = {"hair": 14.0, "skirt": 15.0, "cape": 30.0, "sleeve": 9.0, "tail": 12.0,
          "strand": 11.0}  # fmt: skip
 """How far a link of each kind rotates against the one above it [degrees], where it is half loose."""
 SLIM = 4.0  # length over width from which on a lock is slim
-GAP = 0.04  # over the size: a chain that keeps so far from the body is free
 ASLANT = 0.8  # cosine from which on a chain hangs at all
 LONG = 0.15  # over the size; shorter chains hold their shape more
 SHORT_SHARE = 0.4  # of its limits, that the shortest chain has at least
@@ -124,6 +123,12 @@ class Chain:
         """Along its links [m]."""
         return float(np.linalg.norm(np.diff(self.points, axis=0), axis=1).sum())
 
+    @property
+    def limits(self) -> np.ndarray:
+        """How far each link rotates against the one above it [rad], shape (R,)."""
+        share = self.parameters.root + (1 - self.parameters.root) * np.arange(len(self)) / max(len(self) - 1, 1)
+        return np.asarray(self.parameters.limit * share)
+
     def __len__(self) -> int:
         return len(self.bones)
 
@@ -131,7 +136,7 @@ class Chain:
 SUFFIX = ".apparel.toml"
 _BOUNDS = {"limit": (0.0, 90.0), "stiffness": (0.0, 1000.0), "damping": (0.0, 0.999), "gravity": (-10.0, 10.0),
            "mass": (1e-3, 1000.0)}  # fmt: skip
-"""What a file may say; chosen."""
+"""What a file may say, with room about what was measured on twelve MMD and VRM files (`_PARAMETERS`)."""
 
 
 def parameters_beside(character: Character) -> dict[str, dict[str, float]]:

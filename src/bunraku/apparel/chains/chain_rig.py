@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bunraku.apparel.chains.chain import Chain
-from bunraku.apparel.clothed import ARMS, LEGS
+from bunraku.apparel.clothed import ARMS, GRAVITY, LEGS
 from bunraku.apparel.physics.bodies import body_limbs, rods_of
-from bunraku.apparel.physics.rig import ApparelRig, PhysicsSettings, still_body
+from bunraku.apparel.physics.rig import GROUPS, ApparelRig, still_body
 from bunraku.core.animation import Animation, RigAnimation
 from bunraku.core.avatars import MMD_METRE, MmdBody, MmdJoint
 from bunraku.core.body.layout import JOINT_COUNT, handle_names
@@ -37,13 +37,12 @@ def on_handle_rig(animation: Animation) -> RigAnimation:
     return RigAnimation.of_world(character, affine[..., :3], positions, animation.fps, animation.reference)
 
 
-GRAVITY = PhysicsSettings.gravity  # by which springs are measured [m/s^2]
-GROUP, EMPTY_GROUP = 0, 15  # collision group of the chains, and one without bodies
+GROUP = 0  # of collisions, of the chains; by the standard of MMD there are 16, and the last one has no bodies here
 CLOTH = ("skirt", "cape")  # kinds whose chains are tied to their neighbours
-TWIST = np.radians(3.0)
-TIE = np.radians(30.0)
 
 # Chosen by eye on twelve rigs of public repositories in a walk and a dance.
+TWIST = np.radians(3.0)  # limit of a link about itself [rad]
+TIE = np.radians(30.0)  # how far a tie lets neighbours rotate against each other [rad]
 GIVE = 0.12  # how far a tie lets neighbours come apart, over their distance
 SIDE = 0.5  # of the limit outwards: how far cloth swings along the body
 NEXT = 1.9  # neighbours are at most so many times as far apart as they are at the median
@@ -86,8 +85,7 @@ def chain_rig(
             middle = 0.5 * (chain.points[link:-1] + chain.points[link + 1 :])
             lever = np.linalg.norm(middle - start, axis=1)
             moment = float((masses[link:] * lever).sum()) * GRAVITY
-            share = chain.parameters.root + (1 - chain.parameters.root) * link / max(links - 1, 1)
-            joints.append(_joint(chain, (above, number), start, frame, moment, share))
+            joints.append(_joint(chain, link, (above, number), frame, moment))
             by_bone.setdefault(int(chain.bones[link]), number)
             numbers.append(number)
             above = number
@@ -95,7 +93,7 @@ def chain_rig(
     for first, second in neighbours_of(chains) if ties is None else ties:
         joints += _ties(chains[first], chains[second], linked[first], linked[second])
     for collider in colliders:
-        bodies.append(replace(collider, group=EMPTY_GROUP, mask=1 << GROUP))
+        bodies.append(replace(collider, group=GROUPS, mask=1 << GROUP))
         gravity.append(1.0)
     pulls = np.array(gravity)[:, None] * np.array([0.0, -GRAVITY, 0.0])
     same = bool(np.allclose(gravity, 1.0))
@@ -151,25 +149,22 @@ def _link(chain: Chain, link: int, start: np.ndarray, end: np.ndarray, frame: np
         shape = "box"
         size = np.array([max(0.8 * chain.width[link], 0.008), max(0.46 * length, 0.008), chain.thick])
         # the first row of cloth lies on the hips: between them and a lifted thigh it would be crushed
-        meets = 0 if link == 0 and len(chain) > 1 else 1 << EMPTY_GROUP
+        meets = 0 if link == 0 and len(chain) > 1 else 1 << GROUPS
     else:
         radius = float(min(max(0.6 * chain.width[link], chain.thick), 0.45 * length, 0.04))
-        shape, size, meets = "capsule", np.array([radius, max(length - 2 * radius, 0.002), 0.0]), 1 << EMPTY_GROUP
+        shape, size, meets = "capsule", np.array([radius, max(length - 2 * radius, 0.002), 0.0]), 1 << GROUPS
     return MmdBody(
         f"{chain.name} {link + 1}", int(chain.bones[link]), shape, size, 0.5 * (start + end), frame, mass, loss, loss,
         0.0, 0.2, 1, GROUP, meets,
     )  # fmt: skip
 
 
-def _joint(
-    chain: Chain, bodies: tuple[int, int], start: np.ndarray, frame: np.ndarray, moment: float, share: float
-) -> MmdJoint:
-    swing = replace(chain.parameters, limit=chain.parameters.limit * share)
+def _joint(chain: Chain, link: int, bodies: tuple[int, int], frame: np.ndarray, moment: float) -> MmdJoint:
     # Bullet counts an angle from the second body to the first: about x, outwards is positive.
-    outward, inward = swing.limit, swing.limit * swing.inward
-    side = swing.limit * (SIDE if chain.kind in CLOTH else 1.0)
+    outward, start = float(chain.limits[link]), chain.points[link]
+    inward, side = outward * chain.parameters.inward, outward * (SIDE if chain.kind in CLOTH else 1.0)
     low, high = np.array([-inward, -TWIST, -side]), np.array([outward, TWIST, side])
-    spring = swing.stiffness * moment / MMD_METRE**2
+    spring = chain.parameters.stiffness * moment / MMD_METRE**2
     none = np.zeros(3)
     return MmdJoint(chain.name, bodies, start, frame, none, none, low, high, none, spring * np.array([1.0, 1.5, 1.0]))
 

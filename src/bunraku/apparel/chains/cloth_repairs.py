@@ -119,7 +119,6 @@ class MendTears:
     most: float = 0.02
     spare: float = 0.25  # edges shorter than this share of the median are not looked at; chosen
     often: float = 0.08  # share of the frames from which on a torn edge makes a torn area; chosen
-    reach: float = 0.08  # distance from a torn area at which apparel moves freely again, over the size [m]; chosen
     attempts: int = 3  # how often torn areas are mended; from the second time on their chains also swing less
     damping: float = 0.5  # share of the rotations that is left of such chains; chosen
 
@@ -163,14 +162,18 @@ class MendTears:
     ) -> np.ndarray:
         """How far each vertex may move freely, shape (V,): 0 at the torn areas of the `torn` parts, 1 far from them."""
         edges, part, bad = self._bad_edges(clothed, shown, carried, count)
+        looked_at = self._looked_at(count)
+        apart = np.linalg.norm(shown(looked_at) - carried(looked_at), axis=-1).max(axis=0)
         out = np.ones(len(clothed.rest), np.float32)
         for number in torn:  # what lies beside it is another part
             area = np.unique(edges[(bad > self.often) & (part == number)])
             rows = np.flatnonzero(clothed.part == number)
             if len(area) and len(rows):
-                away = cKDTree(clothed.rest[area]).query(clothed.rest[rows])[0] / clothed.scale
-                out[rows] = smooth_step(away, 0.0, self.reach)
+                out[rows] = eased(clothed.rest[rows], clothed.rest[area], float(apart[rows].max()))
         return out
+
+    def _looked_at(self, count: int) -> np.ndarray:
+        return np.unique(np.linspace(0, count - 1, self.frames).astype(np.int64))
 
     def _damped(self, animation: RigAnimation, dressed: DressedChains, torn: Collection[int]) -> RigAnimation:
         """The animation with smaller rotations of the chains that hold torn parts."""
@@ -194,11 +197,18 @@ class MendTears:
         if len(edges):
             long = rest > self.spare * float(np.median(rest))
             edges, part, rest, bad = edges[long], part[long], rest[long], bad[long]
-            looked_at = np.unique(np.linspace(0, count - 1, self.frames).astype(np.int64))
+            looked_at = self._looked_at(count)
             for sign, moved in ((1, shown(looked_at)), (-1, carried(looked_at))):
                 ratio = np.linalg.norm(moved[:, edges[:, 0]] - moved[:, edges[:, 1]], axis=-1) / rest
                 bad += sign * ((ratio > self.longest) | (ratio < self.shortest)).mean(axis=0)
         return edges, part, bad
+
+
+def eased(points: np.ndarray, bound: np.ndarray, apart: float) -> np.ndarray:
+    """How far points (P, 3) of a part move freely, shape (P,), where others of it, (B, 3), are bound to the skin: the
+    farther apart the part is from its skin at the most [m], the longer is the way from one to the other.
+    """
+    return np.asarray(smooth_step(cKDTree(bound).query(points)[0] / max(apart, 1e-6), 0.0, 1.0))
 
 
 def on_skin(animation: RigAnimation, bare: Rig, free: np.ndarray) -> RigAnimation:

@@ -18,7 +18,8 @@ from bunraku.core.character import Character
 from bunraku.core.request import Progress
 from bunraku.errors import CharacterError
 
-TRIES = 3  # how often bodies that fly off are simulated again
+# Chosen by eye.
+TRIES = 3  # how often such bodies are simulated again
 STIFFER = 4.0  # factor on their stiffness, each time; steps are half as long
 _log = logging.getLogger(__name__)
 

@@ -13,24 +13,21 @@ from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from bunraku.apparel.clothed import LEGS, ClothedCharacter
+from bunraku.apparel.clothed import BESIDE, LAYER, LEGS, ClothedCharacter
 from bunraku.apparel.fitting import kinds_of
+from bunraku.apparel.nodes import NEIGHBOURS
 from bunraku.apparel.parts import find_parts
 from bunraku.core.body.layout import JOINT_NAMES, JOINT_PARENTS
 from bunraku.core.geometry.axes import direction_bins
 from bunraku.core.geometry.graph import clean_mesh, mesh_parts, unique_edges
 
-# Lengths over the size [m]. All were chosen by eye.
+# All were chosen by eye.
 BINS = 24  # directions about the pelvis in which the upper edge of a sheet is looked for
-# Points are joined to so many that are as near: cards of hair and layers of cloth lie on one another without an edge.
-NEAR, CLOSE = 6, 0.02
-# Points of cloth are joined to so many of those on a grid that are nearer than the wall: both walls of a cloth with
-# thickness, and a petticoat and its skirt, reach as far at the same position.
-WALL, GRID, ACROSS = 0.06, 0.02, 16
-FAR = 0.04  # what lies farther than this from its carrier hangs on what is nearer of its piece
+# Points of cloth are joined to so many of those on a grid that are near: both walls of a cloth with thickness, and a
+# petticoat and its skirt, reach as far at the same position.
+ACROSS = 16
 UPPER = 0.35  # of the height of a piece of cloth: only its points above this hold it
 HANGS = 0.5  # of two ends, the upper one holds though the other is nearer by as much of its height
-EDGE = 0.02  # how far down from its upper edge cloth is held
 _HEAD = JOINT_NAMES.index("head")
 
 
@@ -101,7 +98,8 @@ def _piece(
     index[rows] = np.arange(count)
     pairs = index[edges]
     pairs = pairs[(pairs >= 0).all(axis=1)]
-    pairs = np.concatenate([pairs, _near(positions, np.arange(count), NEAR + 1, CLOSE * clothed.scale)])
+    # cards of hair and layers of cloth lie on one another without an edge
+    pairs = np.concatenate([pairs, _near(positions, np.arange(count), NEIGHBOURS + 1, LAYER * clothed.scale)])
     if kind in ("skirt", "cape"):
         pairs = np.concatenate([pairs, _through(positions, clothed.scale)])
     seeds = _held(clothed, kind, positions, pairs, holders, border[rows])
@@ -133,13 +131,13 @@ def _held(
     least = np.full(int(label.max()) + 1, np.inf)
     np.minimum.at(least, label, gap)
     loose = ~np.isin(label, label[held])
-    near = loose & (least <= FAR * size)[label]
-    held |= near & (gap <= least[label] + EDGE * size)
+    near = loose & (least <= BESIDE * size)[label]
+    held |= near & (gap <= least[label] + LAYER * size)
     for number in np.unique(label[loose & ~near]):  # a tail far from the head hangs by itself, a tip on its lock
         rows = np.flatnonzero(label == number)
         other = cKDTree(points[held]).query(points[rows])[0].min() if held.any() else np.inf
         if least[number] <= other:
-            held[rows[gap[rows] <= least[number] + EDGE * size]] = True
+            held[rows[gap[rows] <= least[number] + LAYER * size]] = True
     return held if held.any() else upper
 
 
@@ -150,14 +148,14 @@ def _upper_edge(clothed: ClothedCharacter, points: np.ndarray) -> np.ndarray:
     top = np.full(BINS, -np.inf)
     np.maximum.at(top, bins, points[:, 1])
     low, high = float(points[:, 1].min()), float(points[:, 1].max())
-    return (points[:, 1] > top[bins] - EDGE * clothed.scale) & (points[:, 1] > low + 0.5 * (high - low))
+    return (points[:, 1] > top[bins] - LAYER * clothed.scale) & (points[:, 1] > low + 0.5 * (high - low))
 
 
 def _through(points: np.ndarray, size: float) -> np.ndarray:
     """Pairs of points that lie near each other on any layer, shape (E, 2)."""
-    cells = np.floor(points / (GRID * size)).astype(np.int64)
+    cells = np.floor(points / (LAYER * size)).astype(np.int64)
     chosen = np.sort(np.unique(cells, axis=0, return_index=True)[1])
-    return _near(points, chosen, ACROSS, WALL * size)
+    return _near(points, chosen, ACROSS, (LAYER + BESIDE) * size)
 
 
 def _near(points: np.ndarray, among: np.ndarray, count: int, reach: float) -> np.ndarray:

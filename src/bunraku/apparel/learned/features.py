@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.constants import g
 
 from bunraku.apparel.body import BodyPoints, body_points, eq4_transforms, nearest_point
-from bunraku.apparel.clothed import GRAVITY, ClothedCharacter, Swing
+from bunraku.apparel.clothed import GRAVITY, RATE, ClothedCharacter, Swing
 from bunraku.apparel.nodes import ApparelNodes, node_swing
-from bunraku.apparel.physics.rig import PhysicsSettings
+from bunraku.apparel.physics.rig import SHORTEST, PhysicsSettings
 from bunraku.apparel.physics.simulate import BLEND
 from bunraku.core.body.layout import JOINT_COUNT, JOINT_PARENTS
 from bunraku.core.geometry.rotations import matrix_from_quaternion, matrix_y, quaternion_from_matrix, quaternion_slerp
@@ -22,7 +23,6 @@ LAGS = (0.08, 0.25, 0.8)  # time constants with which a lagging rotation follows
 PENDULUMS = ((0.0, 3.0), (20.0, 3.0), (80.0, 5.0), (200.0, 12.0))
 """Of each, the stiffness of the spring to its carried position [1/s^2] and the damping [1/s], for a unit of mass."""
 SUBSTEPS = 4
-FILTER_GRAVITY = 9.81
 
 
 class MotionFilters:
@@ -67,7 +67,7 @@ class Pendulums:
         self.held, self.step = np.asarray(held, np.float32), np.float32(1 / (fps * SUBSTEPS))
         self.length = np.linalg.norm(self.held, axis=1)[:, None].astype(np.float32)
         self.spring, self.damping = np.array(PENDULUMS, np.float32).T[:, :, None, None]
-        self.gravity = np.array([0, -FILTER_GRAVITY / size, 0], np.float32)
+        self.gravity = np.array([0, -g / size, 0], np.float32)
         self.positions = np.asarray(positions, np.float32)
         self.rods = np.matmul(turns, self.held[..., None])[..., 0].astype(np.float32)
         self.points = np.repeat(self.positions[None], count, axis=0)
@@ -139,7 +139,6 @@ def _local(pose: np.ndarray, parents: np.ndarray) -> np.ndarray:
 
 # What the networks were trained on.
 STIFFEST = 900.0  # spring [1/s^2]
-SHORT = 5e-3  # arms count as no shorter [m]
 
 
 class OwnPendulum:
@@ -161,7 +160,7 @@ class OwnPendulum:
         self.axes = np.asarray(swing.axes, np.float64)
         arm = np.einsum("mba,mb->am", self.axes, swing.arm)
         length = np.linalg.norm(arm, axis=0)
-        self.arm, self.length = arm / np.maximum(length, 1e-9), np.maximum(length, SHORT)
+        self.arm, self.length = arm / np.maximum(length, 1e-9), np.maximum(length, SHORTEST)
         self.lever = np.einsum("mba,mb->am", self.axes, swing.lever)
         self.away, self.share = np.asarray(swing.away, np.float64), np.asarray(swing.share, np.float64)
         weight = np.asarray(swing.weight, np.float64)
@@ -235,8 +234,7 @@ def _rotated_by(turn: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     return np.asarray(vectors + sine * once + cosine * _cross_by_axis(turn, once))
 
 
-RATE = 30.0  # frames a second that the networks know [1/s]
-LEAD_IN = 30  # frames from the rest pose into a clip
+LEAD_IN = int(RATE)  # frames from the rest pose into a clip
 
 # What the networks were trained on.
 OWN = ((1.0, 0.0), (0.25, 0.0), (1.0, 6.0))
@@ -302,9 +300,9 @@ def _swing_features(swing: Swing, held: np.ndarray, from_file: bool) -> np.ndarr
     """How nodes swing, as numbers, shape (M, 7): how far by limits and by springs, how fast, how damped, their share,
     their lever over that of the whole part, and whether a file says so.
     """
-    arm = np.maximum(np.linalg.norm(swing.arm, axis=1), SHORT)
+    arm = np.maximum(np.linalg.norm(swing.arm, axis=1), SHORTEST)
     rate = np.sqrt(GRAVITY * swing.weight / arm + swing.spring.mean(axis=1))
-    lever = np.linalg.norm(swing.lever, axis=1) / np.maximum(held, SHORT)
+    lever = np.linalg.norm(swing.lever, axis=1) / np.maximum(held, SHORTEST)
     return np.column_stack([
         np.log10(swing.turns() + 1e-3), np.log10(np.maximum(rate, 0.1)),
         np.log10(swing.friction + swing.drag + 0.01), swing.share, np.minimum(lever, 3.0), np.full(len(arm), from_file),

@@ -14,14 +14,9 @@ from bunraku.apparel.nodes import EdgeBlock, NodeGraph
 from bunraku.core.nn.checkpoints import config_of, load_network
 from bunraku.core.nn.layers import Weights, gelu
 
+# What the networks were trained with.
 STILL = 3 * STATIC_VECTORS + STATIC_SCALARS  # features of a node that never change
 NODE_INPUT = STILL + 3 * VECTORS + SCALARS  # features of a node in a frame
-MOTION_HIDDEN, MOTION = 64, 24  # channels of the MLP of the encoded motion f_t(T), and of its output
-
-# What the networks were trained with.
-SHARE = 1.5  # largest weight of a basis vector in the head
-KEEP = 0.97  # largest share of the difference from the head that a frame leaves
-CHANGE = 0.04  # largest change of that difference in a frame, over the character's size
 OWN_STATE, WORLD_STATE = 7 * 3 + 1, 9
 """Features of a node's past for the recurrent part, in the frame of its joint, and in the paper's form."""
 SET = 7  # outputs of the recurrent part for a node
@@ -37,23 +32,26 @@ class DisplacementConfig:
     # "joint" remembers the difference from the head in the frame of the carrying joint; "world" is the paper's Eq. 11
     # as it stands, positions in the world from the pelvis, without the head
     frame: Literal["joint", "world"] = "joint"
+    motion: tuple[int, int] = (64, 24)  # channels of the MLP of the encoded motion f_t(T), and of its output
+    share: float = 1.5  # largest weight of a basis vector in the head
+    keep: float = 0.97  # largest share of the difference from the head that a frame leaves
+    change: float = 0.04  # largest change of that difference in a frame, over the character's size
 
 
 class DisplacementPart:
-    """Encoder and decoder of the head or of the recurrent part, `world` in the paper's form. `extra` are features of a
-    node beside `NODE_INPUT`, `outputs` its numbers for a node.
+    """Encoder and decoder of the head or of the recurrent part, `width` channels wide. `extra` are features of a node
+    beside `NODE_INPUT`, `outputs` its numbers for a node.
     """
 
-    def __init__(self, extra: int, width: int, blocks: int, outputs: int, weights: Weights, world: bool = False):
+    def __init__(self, config: DisplacementConfig, width: int, extra: int, outputs: int, weights: Weights):
         encoder, count = weights.part("encoder"), NODE_INPUT + extra
-        self.world = world
+        self.config, self.world = config, config.frame == "world"
+        hidden, motion = config.motion
         self.mean, self.std = encoder.array("mean", count), encoder.array("std", count)
-        self.motion = (
-            encoder.linear("motion.0", GLOBAL, MOTION_HIDDEN), encoder.linear("motion.2", MOTION_HIDDEN, MOTION),
-        )  # fmt: skip
-        self.enter = encoder.linear("enter.0", count + MOTION, width), encoder.linear("enter.2", width, width)
+        self.motion = encoder.linear("motion.0", GLOBAL, hidden), encoder.linear("motion.2", hidden, motion)
+        self.enter = encoder.linear("enter.0", count + motion, width), encoder.linear("enter.2", width, width)
         self.norm = encoder.norm("enter.3", width)
-        self.blocks = [EdgeBlock(width, encoder.part(f"blocks.{index}")) for index in range(blocks)]
+        self.blocks = [EdgeBlock(width, encoder.part(f"blocks.{index}")) for index in range(config.blocks)]
         self.decoder = weights.linear("decoder.0", width, width), weights.linear("decoder.2", width, outputs)
 
 
@@ -64,13 +62,11 @@ class DisplacementNetwork:
 
     def __init__(self, config: DisplacementConfig, weights: Weights):
         self.config = config
-        self.anchor = DisplacementPart(0, config.width, config.blocks, BASIS + 3, weights.part("anchor"))
+        self.anchor = DisplacementPart(config, config.width, 0, BASIS + 3, weights.part("anchor"))
         self.recurrent: DisplacementPart | None = None
         if config.recurrent:
-            world = config.frame == "world"
-            extra, outputs = (WORLD_STATE, 3) if world else (OWN_STATE, SET)
-            part = weights.part("recurrent")
-            self.recurrent = DisplacementPart(extra, config.recurrent, config.blocks, outputs, part, world)
+            extra, outputs = (WORLD_STATE, 3) if config.frame == "world" else (OWN_STATE, SET)
+            self.recurrent = DisplacementPart(config, config.recurrent, extra, outputs, weights.part("recurrent"))
 
 
 def load_displacement(path: str | Path) -> DisplacementNetwork:
@@ -112,6 +108,7 @@ class FoldedNetwork:
         self, network: DisplacementNetwork, static_vectors: np.ndarray, static_scalars: np.ndarray, graph: NodeGraph
     ):
         still = np.concatenate([static_vectors.reshape(len(static_scalars), -1), static_scalars], axis=1)
+        self.config = network.config
         self.world = network.recurrent is not None and network.recurrent.world
         self._anchor = _FoldedPart(network.anchor, still, graph)
         self._recurrent = None if network.recurrent is None else _FoldedPart(network.recurrent, still, graph)
@@ -119,7 +116,7 @@ class FoldedNetwork:
     def anchor(self, vectors: np.ndarray, scalars: np.ndarray, whole: np.ndarray) -> np.ndarray:
         """Output of the head, (M, 3), from vectors (M, VECTORS, 3), scalars (M, SCALARS) and the pose (GLOBAL,)."""
         out = self._anchor(_moving(vectors, scalars), whole)
-        share = SHARE * np.tanh(out[:, :BASIS])
+        share = self.config.share * np.tanh(out[:, :BASIS])
         return np.asarray(np.matmul(share[:, None], vectors[:, :BASIS])[:, 0] + out[:, BASIS:])
 
     def recurrent(
@@ -147,7 +144,8 @@ class FoldedNetwork:
         swing, gate = np.exp(out[:, 1:2] - most), np.exp(out[:, 2:3] - most)
         shared = (swing * change + gate * inertia) / (swing + gate + np.exp(-most))
         kept = rest[0] + shared - (1 - expit(out[:, 3:4])) * head_change
-        left = KEEP * expit(out[:, :1]) * kept + CHANGE * np.tanh(out[:, 4:] / CHANGE)
+        most = self.config.change
+        left = self.config.keep * expit(out[:, :1]) * kept + most * np.tanh(out[:, 4:] / most)
         moved = anchor + left
         now = positions + np.einsum("mab,mb->ma", turns, moved)
         return moved, (np.stack([left, rest[0], rest[1]]), np.stack([moved, given[0]]), np.stack([now, been[0]]))

@@ -8,9 +8,8 @@ import numpy as np
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
-from bunraku.apparel.body import BodyPoints, Planes, PosedBody, eq4_transforms, surface_points
-from bunraku.apparel.clothed import LEGS, ClothedCharacter
-from bunraku.apparel.layers import FEW
+from bunraku.apparel.body import PLANES, BodyPoints, Planes, PosedBody, eq4_transforms, surface_points
+from bunraku.apparel.clothed import BESIDE, LAYER, LEGS, ClothedCharacter
 from bunraku.apparel.learned.features import (
     LEAD_IN,
     Frame,
@@ -22,7 +21,11 @@ from bunraku.apparel.learned.features import (
 from bunraku.apparel.learned.network import DisplacementNetwork, FoldedNetwork, FoldedPast, past_of_states
 from bunraku.apparel.nodes import ApparelNodes, NodeGraph, apparel_nodes
 
-NEAR = 4
+NEAR = PLANES  # nodes that a vertex follows
+FEW = 0.25
+"""Share of what is around a node that must be pushed for it to be pushed by as much; chosen by eye on clips of the
+wardrobe.
+"""
 RIGID = 0.03
 """Weight of the carrying joint's own rotation in that of a node, over the spread of its neighbours; chosen by eye."""
 
@@ -134,8 +137,6 @@ _MINORS = np.array([
 """Elements whose products, the first two less the last two, are the cofactors of a matrix."""
 
 # Chosen by eye on Gene, Uka and the wardrobe.
-HELD = 0.02  # nodes as near to where their part is held do not move, over the character's size [m]
-BESIDE = 0.03  # how near to the way out through a node legs count, over the character's size [m]
 STEPS = 2  # out of the body for vertices: what is near a deep one is not what is near where it comes out
 
 
@@ -181,7 +182,7 @@ class Safety:
         # where the swing of each vertex is known, the networks know stiff parts too
         self.share = np.where(clothed.swing is None, share, np.float32(1))[:, None]
         # what lies on the body at rest stays there: the root of a part is held
-        self.free = np.where(nodes.distance < HELD * scale, 0.0, 1.0)[:, None].astype(np.float32)
+        self.free = np.where(nodes.distance < LAYER * scale, 0.0, 1.0)[:, None].astype(np.float32)
         degree = np.maximum(np.bincount(self.edges.reshape(-1), minlength=len(nodes)), 1)
         number = np.arange(len(self.edges))
         half = 0.5 * self.free[:, 0] / np.sqrt(degree)
@@ -302,15 +303,14 @@ def _around(nodes: ApparelNodes, spread: float) -> np.ndarray:
     return np.asarray(share / share.sum(axis=1, keepdims=True), np.float32)
 
 
-NODES = 256
-SAFE_POINTS = 1500
+SAFE_POINTS = 1500  # of the body; chosen by eye
 
 
 class ApparelPlayer:
     """A clothed character whose apparel the network moves, with or without safety and the recurrent part."""
 
     def __init__(
-        self, clothed: ClothedCharacter, network: DisplacementNetwork, *, nodes: int = NODES, safe: bool = True,
+        self, clothed: ClothedCharacter, network: DisplacementNetwork, *, nodes: int = 256, safe: bool = True,
         recurrent: bool = True,
     ):  # fmt: skip
         self.clothed, self.network = clothed, network

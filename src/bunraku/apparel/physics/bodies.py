@@ -10,16 +10,14 @@ from typing import Any
 import numpy as np
 
 from bunraku.apparel.mask import APPAREL_SHARE, moved_joints
-from bunraku.apparel.physics.rig import still_body
+from bunraku.apparel.physics.rig import SHORTEST, still_body
 from bunraku.core.avatars import MMD_METRE, MmdBody, MmdJoint
 from bunraku.core.character import Character
 
-LEAST = 24  # vertices that a limb is made of at least
 # a bone whose vertices are all nearer to their middle than this share of the height gets none: fingers, eyes, teeth;
 # chosen by eye on simulations of Uka, Gene and the wardrobe
 SMALL = 0.03
 MOST = 40  # limbs; the largest are kept
-TAKEN = 20_000  # vertices of one bone at most
 OUTER = 2.0  # share of the vertices that are outside of a box, on each side [%]
 
 
@@ -35,9 +33,9 @@ def body_limbs(character: Character, moved: np.ndarray | None = None) -> list[Mm
     boxes = []
     for bone in np.unique(holder[body & ~moved[holder]]):
         chosen = np.flatnonzero((holder == bone) & body)
-        if len(chosen) < LEAST:
+        if len(chosen) < 4:
             continue
-        box = _box(int(bone), rig.names[bone], character.vertices[chosen[:: len(chosen) // TAKEN + 1]].astype(float))
+        box = _box(int(bone), rig.names[bone], character.vertices[chosen].astype(float))
         if np.linalg.norm(box.size) > SMALL * height:
             boxes.append(box)
     boxes.sort(key=lambda box: (-float(np.linalg.norm(box.size)), box.bone))
@@ -53,18 +51,16 @@ def _box(bone: int, name: str, points: np.ndarray) -> MmdBody:
 
 
 # Chosen by eye on simulations of Uka, Gene and the wardrobe.
-THINNEST = 5e-3  # least half extent for the inertia [m]: thin rods spin faster than any time step
-SMALLEST = 1e-3  # a shape that is smaller collides with nothing [m]
+TINY = 1e-3  # smaller shapes collide with nothing [m], and smaller ranges of positions and angles are none [m or rad]
 MOST_RODS = 3  # capsules that stand for a box
-_ABOUT_X = np.array([np.sqrt(0.5), -np.sqrt(0.5), 0.0, 0.0])  # wxyz; MuJoCo's capsules lie along z, MMD's along y
 
 
 def inertia(body: MmdBody) -> np.ndarray:
     """Moments of inertia about a body's own axes [kg m^2], (3,); a capsule has those of its box, as in Bullet."""
     if body.shape == "sphere":
-        return np.full(3, 0.4 * body.mass * max(float(body.size[0]), THINNEST) ** 2)
+        return np.full(3, 0.4 * body.mass * max(float(body.size[0]), SHORTEST) ** 2)
     half = body.size if body.shape == "box" else np.array([body.size[0], body.size[0] + body.size[1] / 2, body.size[0]])
-    square = np.maximum(half, THINNEST) ** 2
+    square = np.maximum(half, SHORTEST) ** 2
     return np.asarray(body.mass / 3 * (square.sum() - square))
 
 
@@ -79,20 +75,21 @@ def add_shape(owner: Any, body: MmdBody, position: np.ndarray, name: str, settin
     """
     import mujoco
 
-    if body.size[0] < SMALLEST and not (body.shape == "box" and body.size.max() >= SMALLEST):
+    if body.size[0] < TINY and not (body.shape == "box" and body.size.max() >= TINY):
         return False
-    quaternion = np.empty(4)
-    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(body.rotation, float).ravel())
+    axes = np.array(body.rotation, float)
     size = np.zeros(3)
     if body.shape == "box":
-        kind, size = mujoco.mjtGeom.mjGEOM_BOX, np.maximum(body.size, SMALLEST)
-    elif body.shape == "capsule" and body.size[1] >= SMALLEST:
+        kind, size = mujoco.mjtGeom.mjGEOM_BOX, np.maximum(body.size, TINY)
+    elif body.shape == "capsule" and body.size[1] >= TINY:
         kind = mujoco.mjtGeom.mjGEOM_CAPSULE
         size[:2] = body.size[0], body.size[1] / 2
-        mujoco.mju_mulQuat(quaternion, quaternion.copy(), _ABOUT_X)
+        axes = np.column_stack([axes[:, 0], -axes[:, 2], axes[:, 1]])  # MuJoCo's lie along z, MMD's along y
     else:
         kind = mujoco.mjtGeom.mjGEOM_SPHERE
         size[0] = body.size[0]
+    quaternion = np.empty(4)
+    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(axes).ravel())
     owner.add_geom(name=name, type=kind, size=size, pos=body.position - position, quat=quaternion, mass=0.0, **settings)
     return True
 
@@ -108,7 +105,7 @@ def rods_of(body: MmdBody) -> list[MmdBody]:
     if body.shape != "box":
         return [body]
     order = np.argsort(-body.size, kind="stable")
-    long, wide, thin = np.maximum(body.size[order], SMALLEST)
+    long, wide, thin = np.maximum(body.size[order], TINY)
     axes = body.rotation[:, order[[1, 0, 2]]] * [1.0, 1.0, np.linalg.det(body.rotation[:, order[[1, 0, 2]]])]
     count = int(np.clip(np.ceil(wide / thin), 1, MOST_RODS))
     size = np.array([thin, 2 * (long - thin), 0.0])
@@ -120,8 +117,6 @@ def rods_of(body: MmdBody) -> list[MmdBody]:
 
 # Chosen by eye on simulations of Uka, Gene and the wardrobe.
 LOOSE = 100  # joints in a row that hold are better than one that lets go
-TIGHT = 1e-3  # smaller ranges of positions count as none [m]
-STIFF = 1e-3  # smaller ranges of angles count as none [rad]
 SAME_PLACE = 2e-3  # joints nearer than this are at one position [m]
 
 
@@ -213,7 +208,7 @@ def apparel_forest(bodies: tuple[MmdBody, ...], joints: tuple[MmdJoint, ...], pa
 def locked_axes(joint: MmdJoint) -> np.ndarray:
     """Axes along which a joint holds its bodies together, shape (3,), bool."""
     width = joint.upper - joint.lower
-    return (width >= 0) & (width <= TIGHT)
+    return (width >= 0) & (width <= TINY)
 
 
 def free_axes(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
@@ -296,10 +291,9 @@ def _depths(parents: np.ndarray) -> list[int]:
     return out
 
 
-GIMBAL = np.radians(80.0)
 # Chosen by eye on simulations of Uka, Gene and the wardrobe.
+GIMBAL = np.radians(80.0)  # where the middle one of three hinges turns farther, they are a ball [rad]
 SLACK = 0.1  # how far a body may go along an axis that its file frees altogether [m]
-NEWTON_METRE = MMD_METRE**2  # a spring of 1 in a file [N m / rad]: MMD's forces are in kg unit / s^2
 
 
 @dataclass(frozen=True)
@@ -327,19 +321,19 @@ def freedoms(link: Link) -> list[Freedom]:
     out = []
     low, high = _range(joint.lower, joint.upper, not link.turned)
     for axis in range(3):
-        if high[axis] - low[axis] > TIGHT:
+        if high[axis] - low[axis] > TINY:
             start, end = (low[axis], high[axis]) if np.isfinite(low[axis]) else (-SLACK, SLACK)
             stiff = max(float(joint.spring[axis]), 0.0)
             out.append(Freedom("slide", joint.rotation[:, axis], float(start), float(end), stiff))
     low, high = _range(joint.angle_lower, joint.angle_upper, link.turned)
-    stiffness = np.maximum(joint.angle_spring, 0) * NEWTON_METRE
+    stiffness = np.maximum(joint.angle_spring, 0) * MMD_METRE**2
     for other, turned in link.more:
         more_low, more_high = _range(other.angle_lower, other.angle_upper, turned)
         both_low, both_high = np.maximum(low, more_low), np.minimum(high, more_high)
         good = both_low <= both_high
         low, high = np.where(good, both_low, low), np.where(good, both_high, high)
-        stiffness = stiffness + np.maximum(other.angle_spring, 0) * NEWTON_METRE
-    open_axes = high - low > STIFF
+        stiffness = stiffness + np.maximum(other.angle_spring, 0) * MMD_METRE**2
+    open_axes = high - low > TINY
     if max(-low[1], high[1]) > GIMBAL and open_axes.all():
         widest = float(max(-low.min(), high.max()))
         widest = widest if widest < np.pi else np.inf

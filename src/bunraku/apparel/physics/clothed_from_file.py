@@ -12,9 +12,8 @@ from bunraku.apparel.clothed import FREE, SWING_NUMBERS, ClothedCharacter, Swing
 from bunraku.apparel.mask import apparel_mask
 from bunraku.apparel.nodes import apparel_parts, clothed_with_springs
 from bunraku.apparel.physics.bodies import (
-    NEWTON_METRE,
     SLACK,
-    STIFF,
+    TINY,
     Forest,
     Link,
     apparel_forest,
@@ -22,7 +21,7 @@ from bunraku.apparel.physics.bodies import (
     loss_rate,
 )
 from bunraku.apparel.physics.rig import ApparelRig, PhysicsSettings, apparel_rig
-from bunraku.core.avatars import MmdBody
+from bunraku.core.avatars import MMD_METRE, MmdBody
 from bunraku.core.character import Character
 from bunraku.errors import CharacterError
 
@@ -78,8 +77,8 @@ class _Joint:
     def turn(self) -> float:
         """About how far it rotates [rad]."""
         if not len(self.axes):
-            return STIFF
-        return max(float(np.minimum(0.5 * (self.upper - self.lower), self.sag).max()), STIFF)
+            return TINY
+        return max(float(np.minimum(0.5 * (self.upper - self.lower), self.sag).max()), TINY)
 
 
 def vertex_swing(character: Character, rig: ApparelRig) -> Swing:
@@ -263,7 +262,7 @@ def part_springs(character: Character, rig: ApparelRig, parts: np.ndarray) -> Pa
     count = int(parts.max(initial=-1)) + 1
     values = np.zeros((len(skeleton.names), 5))
     for spring, limit, body in zip(
-        body_springs(rig) * NEWTON_METRE, bending_limits(rig, skeleton.parents), rig.bodies, strict=True
+        body_springs(rig) * MMD_METRE**2, bending_limits(rig, skeleton.parents), rig.bodies, strict=True
     ):
         if body.dynamic and body.bone >= 0:
             values[body.bone] += [spring, body.mass, body.linear_damping, limit, 1.0]

@@ -79,12 +79,11 @@ class PhysicsSettings:
             raise OptionError(f"the time step of physics must be from 0.0001 to 0.02 s, not {self.step:g}")
 
 
-VRM_RATE = 60.0  # steps a second that VRM's parameters are meant for [1/s]
+VRM_RATE = 60.0  # steps a second for which VRM's specification gives its parameters [1/s]
 END = 0.07  # of a chain whose last node swings as well [m], by the specification of VRM 0.x
-MOST_PAIRS = 1_000_000  # of a group of springs and a collider
-GROUPS = 15  # of colliders; the first of MMD's 16 groups is that of the chains
-SHORTEST = 5e-3  # of a joint [m]; chosen: a shorter one swings too fast for a step
-_FREE = (np.ones(3), -np.ones(3))
+MOST_PAIRS = 1_000_000  # of a group of springs and a collider; a bound on hostile files, chosen by eye
+GROUPS = 15  # of colliders; by the standard of MMD there are 16, the first of which is that of the chains
+SHORTEST = 5e-3  # of a joint, an arm or a half extent [m]; by eye: what is shorter swings too fast
 
 
 def vrm_rig(character: Character, avatar: VrmModel) -> ApparelRig:
@@ -212,7 +211,18 @@ class _Chains:
             back = max(joint.stiffness, 0.0) * VRM_RATE / length * inertia / MMD_METRE**2
             none = np.zeros(3)
             self.joints.append(
-                MmdJoint(swings.name, (above, index), head, np.eye(3), none, none, *_FREE, none, np.full(3, back))
+                MmdJoint(
+                    swings.name,
+                    (above, index),
+                    head,
+                    np.eye(3),
+                    none,
+                    none,
+                    np.ones(3),
+                    -np.ones(3),
+                    none,
+                    np.full(3, back),
+                )
             )
             above = index
 

@@ -174,7 +174,7 @@ def stretched(animation: RigAnimation, rig: ApparelRig, bodies: np.ndarray) -> f
     return float(np.abs(length / rest - 1).max())
 
 
-MOST_STEPS = 20_000_000  # of time, in all
+MOST_STEPS = 20_000_000  # of time, in all; a bound on what a user may ask for, chosen by eye
 
 
 @dataclass(frozen=True)

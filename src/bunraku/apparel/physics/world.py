@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from bunraku.apparel.clothed import LAYER
 from bunraku.apparel.physics.bodies import (
-    STIFF,
+    TINY,
     Forest,
     Freedom,
     Link,
@@ -27,7 +28,7 @@ from bunraku.apparel.physics.rig import ApparelRig, PhysicsSettings
 from bunraku.core.avatars import MmdBody
 from bunraku.errors import CharacterError
 
-MOST_CLASSES = 31
+MOST_CLASSES = 31  # bits of a mask of collisions, as MuJoCo defines it
 
 Kind = tuple[int, int, bool]
 
@@ -55,9 +56,7 @@ def _meet(a: Kind, b: Kind) -> bool:
 
 
 # Chosen by eye on simulations of Uka, Gene and the wardrobe.
-NEAR = 1e-3  # shapes that are nearer than this at rest may come as near as that, and no nearer [m]
-KEPT = 0.02  # how much of the distance between apparel and a limb at rest is kept [m]
-SLACK = 4e-3  # less this [m]
+SLACK = 4e-3  # less than `LAYER` of the distance between apparel and a limb at rest is kept by so much [m]
 DEEP = 0.8  # a body that is deeper in a limb at rest, as a share of its radius, is not kept out of it
 
 
@@ -70,7 +69,7 @@ def fit_contacts(spec: Any, model: Any, settings: PhysicsSettings, step: float) 
     data = mujoco.MjData(model)
     how = {"solref": [max(0.02, 2.5 * step), 1.0]}
     margins = model.geom_margin.copy()
-    model.geom_margin[:] = NEAR
+    model.geom_margin[:] = TINY  # shapes that are nearer at rest may come as near as that, and no nearer
     mujoco.mj_forward(model, data)
     deepest: dict[tuple[str, str], float] = {}
     for contact in data.contact[: data.ncon]:
@@ -81,12 +80,12 @@ def fit_contacts(spec: Any, model: Any, settings: PhysicsSettings, step: float) 
         rough = max(spec.geom(name).condim for name in (first, second))
         friction = max(spec.geom(name).friction[0] for name in (first, second))
         spec.add_pair(
-            geomname1=first, geomname2=second, margin=depth - NEAR, condim=rough,
+            geomname1=first, geomname2=second, margin=depth - TINY, condim=rough,
             friction=[friction, friction, 0, 0, 0], **how,
         )  # fmt: skip
     for first, second, distance in _near_limbs(model, data, settings.nearby):
         spec.add_pair(
-            geomname1=first, geomname2=second, margin=min(distance, KEPT) - SLACK, condim=1, friction=[0.0] * 5, **how
+            geomname1=first, geomname2=second, margin=min(distance, LAYER) - SLACK, condim=1, friction=[0.0] * 5, **how
         )
 
 
@@ -107,11 +106,11 @@ def _near_limbs(model: Any, data: Any, near: float) -> list[tuple[str, str, floa
     return out
 
 
-MOST_DYNAMIC = 2000
-_NO_CONTACT = {"contype": 0, "conaffinity": 0}
-HEAVY = 1e4  # mass of a driven bone over that of all apparel
+MOST_DYNAMIC = 2000  # a bound on hostile files, chosen by eye
+_NO_CONTACT = {"contype": 0, "conaffinity": 0}  # as MuJoCo defines it
 
 # Chosen by eye on simulations of Uka, Gene and the wardrobe.
+HEAVY = 1e4  # mass of a driven bone over that of all apparel
 LIGHT = 0.05  # mass of a slider over that of the lighter body
 
 
@@ -330,7 +329,7 @@ class _Builder:
                 slide = first.add_joint(type=mj.mjtJoint.mjJNT_SLIDE, axis=joint.rotation[:, axis])
                 if not free[axis]:
                     slide.limited, slide.range = mj.mjtLimited.mjLIMITED_TRUE, [joint.lower[axis], joint.upper[axis]]
-        stiff = (joint.angle_upper - joint.angle_lower >= 0) & (joint.angle_upper - joint.angle_lower <= STIFF)
+        stiff = (joint.angle_upper - joint.angle_lower >= 0) & (joint.angle_upper - joint.angle_lower <= TINY)
         equality = self.spec.add_equality(
             objtype=mj.mjtObj.mjOBJ_BODY, name1=first.name or "world", name2=second.name or "world"
         )
