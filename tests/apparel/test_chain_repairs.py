@@ -59,7 +59,7 @@ def swung(made, body, angle):
 
 def test_a_strip_leaves_the_ball():
     clothed, made, body = worn()
-    before = swung(made, body, 1.2)
+    before = swung(made, body, 0.4)
     after = PushOutOfBody()(before, DressedChains(made, clothed, JOINTS, body.rig))
     deep = [
         (RADIUS - np.linalg.norm(one.vertices()[:, clothed.apparel], axis=-1)).max(axis=1) for one in (before, after)
