@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from bunraku.apparel.physics.rig import PhysicsSettings
+from bunraku.core.avatars import MMD_METRE
 from bunraku.core.body.layout import JOINT_COUNT, JOINT_NAMES
 from bunraku.errors import CharacterError
 
@@ -23,8 +23,8 @@ ARMS = tuple(
 """Joints of the arms."""
 SIZE = 1.6
 """Height that the networks know characters at [m]; others are measured in units of theirs over this."""
-GRAVITY = PhysicsSettings.gravity
-"""Of MMD files [m/s^2]; the displacement network was trained with it, and springs are measured by it."""
+GRAVITY = 98 * MMD_METRE
+"""Of MMD files, 98 of their units [m/s^2]; the displacement network was trained with it, and springs are measured by it."""
 RATE = 30.0
 """Frames a second that the networks were trained at, and that motions are made at to which springs are fitted [1/s]."""
 LAYER = 0.02
@@ -113,9 +113,7 @@ _SIZES = {"lever": 3, "away": 3, "arm": 3, "axes": 9, "lower": 3, "upper": 3, "s
           "weight": 1, "share": 1}  # fmt: skip
 """Numbers of each field of `Swing` in a row of its table, by definition."""
 SWING_NUMBERS = sum(_SIZES.values())
-AIR = (
-    PhysicsSettings.air
-)  # largest rate at which the air takes speed, as in the simulation and the trained networks [1/s]
+AIR = 1.5  # largest rate at which the air takes speed, as in the simulation and the trained networks [1/s]
 SOLID = 2 / 3  # of a rod: by definition as long is the pendulum that swings like it
 
 

@@ -7,6 +7,7 @@ from importlib.util import find_spec
 
 import numpy as np
 
+from bunraku.apparel.clothed import AIR, GRAVITY
 from bunraku.core.avatars import MMD_METRE, MmdBody, MmdJoint, VrmCollider, VrmModel, VrmSpring, mmd_model, vrm_model
 from bunraku.core.character import Character
 from bunraku.errors import MissingExtraError, OptionError
@@ -50,10 +51,10 @@ class PhysicsSettings:
     number, or the time step is not from 0.1 to 20 ms.
     """
 
-    gravity: float = 98 * MMD_METRE  # Downwards [m/s^2]; MMD's 98 units a second squared by default.
+    gravity: float = GRAVITY  # Downwards [m/s^2]; MMD's 98 units a second squared by default.
     step: float = 1 / 240  # longest time step [s]
     # the largest rate at which bodies lose speed against the air [1/s]; more in a file is friction in the joints
-    air: float = 1.5
+    air: float = AIR
     # resistance of the air over a body's mass and speed, by the speed beyond `calm` [1/m]: loose hair of MMD stood
     # above the head in a spin of two turns a second without it
     wind: float = 2.0
