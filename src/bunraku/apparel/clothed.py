@@ -24,7 +24,7 @@ ARMS = tuple(
 SIZE = 1.6
 """Height that the networks know characters at [m]; others are measured in units of theirs over this."""
 GRAVITY = 98 * MMD_METRE
-"""Of MMD files, 98 of their units [m/s^2]; the displacement network was trained with it, and springs are measured by it."""
+"""98 units of MMD files [m/s^2]; the displacement network was trained with it, and springs are measured by it."""
 RATE = 30.0
 """Frames a second that the networks were trained at, and that motions are made at to which springs are fitted [1/s]."""
 LAYER = 0.02
