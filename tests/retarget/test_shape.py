@@ -20,6 +20,7 @@ from bunraku.core.geometry.rotations import axis_angle_from_matrix, matrix_from_
 from bunraku.core.motion import HandleMotion
 from bunraku.core.skinning import skin
 from bunraku.retarget.fit import Stages, fit_motion
+from bunraku.retarget.locomotion import moved_so
 from bunraku.retarget.rig_parts import RigParts
 from bunraku.retarget.stages.animals import Front
 from bunraku.retarget.stages.rest_pose import Fins
@@ -145,6 +146,16 @@ def test_a_body_without_legs_is_not_torn_by_steps():
     np.testing.assert_allclose(held[:, legs], np.broadcast_to(np.eye(3), held[:, legs].shape), atol=1e-5)
     free = fit_motion(steps(), anatomy, Stages(legless=False)).rotations
     assert np.abs(free[:, legs] - np.eye(3)).max() > 0.3
+
+
+def test_a_body_without_legs_gets_ahead_in_hops():
+    """Where it touches the ground it stands still."""
+    anatomy = Anatomy.of(*snail())
+    path = moved_so(steps(40), "step", slice(0, 40), anatomy).root_translation
+    speed = np.diff(path[:, 2])
+    on_ground = path[1:, 1] < 0.01 * path[:, 1].max()
+    assert path[-1, 2] > 0.3 and np.ptp(path[:, 1]) > 0 and on_ground.any()
+    assert np.abs(speed[on_ground & (path[:-1, 1] < 0.01 * path[:, 1].max())]).max() < 0.1 * speed.max()
 
 
 def test_bones_that_a_rig_names_are_limbs():

@@ -43,7 +43,9 @@ GAITS = ("walk", "run", "trot", "gallop")
 """Actions whose clips are one round of steps on the spot."""
 STANDS = 0.25  # a foot stands while it is lower than this share of how far it is lifted; chosen by eye on horses
 HURRY = {"slow": 0.75, "fast": 1.25}  # how much faster than their clip steps are by what is said; chosen by eye
-LIFTED = 0.05  # a walk keeps a foot on the ground [m of the reference body]; chosen by eye on dogs that leap in theirs
+LIFTED = {"walk": 0.05}
+"""How far a walk is off the ground at the most [m of the reference body]; chosen by eye on dogs that leap in theirs."""
+LEAPS = 0.4  # what rises by more is no round of steps [m]; chosen by eye on a deer that bucks
 LEAST = 0.35
 """A clip in which the head turns by less shows nothing [rad]; chosen by eye, those of 20° stood still."""
 EACH = 2  # clips of a file that are read of one action
@@ -217,7 +219,7 @@ def file_clips(
         creature = creature.at(frames / seconds)  # as many whole frames as there is time, so that rounds close
         motion, heights = creature.motion, creature.heights
         if action in GAITS:
-            if not _is_round(motion) or (action == "walk" and np.ptp(heights) > LIFTED):
+            if not _is_round(motion) or np.ptp(heights) > LIFTED.get(action, LEAPS):
                 continue
             path = motion.root_translation.astype(np.float64)
             way = np.linspace(0, 1, len(path))[:, None] * (path[-1] - path[0]) + path[0] * [1, 0, 1]
