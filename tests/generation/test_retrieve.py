@@ -167,6 +167,7 @@ def test_a_pace_that_was_not_asked_for_and_the_floor_in_place_of_a_chair_are_no_
     def named(*texts):
         return replace(pack, examples=(replace(pack.examples[0], texts=texts), pack.examples[1]))
 
+    assert names(named("a person throws a quick punch"), "someone punches", AXES[0]) == [("wave", False)]
     slow = named("a person waves slowly with the left hand", "waves")
     assert names(slow, "someone is waving", AXES[0]) == []
     assert names(slow, "someone is waving slowly", AXES[0]) == [("wave", False)]
@@ -239,6 +240,13 @@ def test_the_limb_that_is_meant_counts_more_than_the_way_of_its_movement(pack):
     assert names(pack, "someone kicks a ball to the left", AXES[1]) == []
 
 
+def test_a_hook_is_rather_a_hook_than_another_punch(pack):
+    texts = ("a person throws a punch with the left hand", "a person throws a left hook")
+    punches = tuple(replace(example, texts=(said,)) for example, said in zip(pack.examples, texts, strict=True))
+    near = (AXES[0] + AXES[1]) / 2**0.5
+    assert names(replace(pack, examples=punches), "someone throws a left hook", near) == [("kick", False)]
+
+
 def test_what_is_high_is_no_example_of_what_is_low(pack):
     high = named(pack, "high", "a person kicks high with the left foot")
     assert names(high, "a person does a low kick", AXES[0]) == []
@@ -260,6 +268,10 @@ def test_examples_that_show_more_or_something_else_come_last(pack):
 def test_a_part_of_what_is_done_counts(pack):
     near = 0.85 * AXES[0] + (1 - 0.85**2) ** 0.5 * AXES[3]
     assert names(pack, "a person waves and nods", near) == [("wave", False)]
+    texts = ("a person waves and nods", "a person waves")
+    both = tuple(replace(example, texts=(said,)) for example, said in zip(pack.examples, texts, strict=True))
+    nearer = 0.75 * AXES[0] + 0.66 * AXES[1]  # but another does the very action
+    assert names(replace(pack, examples=both), "someone waves", nearer) == [("kick", False)]
     assert not retrieve(pack, clause_of("a person waves and nods"), near).found[0].close
     assert retrieve(pack, clause_of("someone waves"), AXES[0]).found[0].close
 

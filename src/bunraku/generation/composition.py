@@ -44,7 +44,7 @@ def steadied(features: np.ndarray, loop: bool = False) -> np.ndarray:
 
 def turned_as_asked(features: np.ndarray, script: Sequence[tuple[Clause, int]], fps: float) -> np.ndarray:
     """A motion whose turns go as far as its clauses say, where they nearly do: faster or slower by at most `MOST`,
-    shape (N, D), float32.
+    shape (N, D), float32. The course of a person who goes straight on is bent.
 
     Args:
         features: Features of each frame, the root's yaw velocity [rad/s] first, shape (N, D).
@@ -54,14 +54,14 @@ def turned_as_asked(features: np.ndarray, script: Sequence[tuple[Clause, int]], 
     out = features.copy()
     for clause, part in clause_spans(script):
         requested, angle = clause.turn, float(out[part, 0].sum()) / fps
-        if requested is None or not angle or requested.side * angle < 0:
+        if requested is None or not angle:
             continue
-        wanted = float(
-            np.clip(abs(angle), requested.least + INSIDE, max(requested.most - INSIDE, requested.least + INSIDE))
-        )
-        factor = wanted / abs(angle)
-        if 1 / MOST <= factor <= MOST:
-            out[part, 0] *= factor
+        least, along = requested.least + INSIDE, np.hanning(len(out[part]) + 2)[1:-1]
+        wanted = np.clip(abs(angle), least, max(requested.most - INSIDE, least)) * (requested.side or np.sign(angle))
+        if abs(angle) <= TURN and clause.locomotion:
+            out[part, 0] += (wanted - angle) * fps * along / along.sum()
+        elif 1 / MOST <= wanted / angle <= MOST:
+            out[part, 0] *= wanted / angle
     return out
 
 

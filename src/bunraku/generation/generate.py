@@ -80,7 +80,8 @@ def generate_motions(
     texts = Texts.of(networks, scripts, how.candidates > 1, pack is not None, critic)
     guidance = None if pack is None else GuidanceExamples(pack, texts.shown)
     if guidance is not None and not loop:
-        scripts = [[part for clause in script for part in guidance.parted(clause)] for script in scripts]
+        parted = [[part for clause in script for part in guidance.parted(clause)] for script in scripts]
+        scripts = list(map(guidance.needed, parted))
     if guidance is not None and how.note:
         for note in dict.fromkeys(_left_out(guidance, clause) for script in scripts for clause in script):
             if note:

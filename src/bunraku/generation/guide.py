@@ -28,11 +28,11 @@ from bunraku.generation.composition import (
 from bunraku.generation.features import FEATURE_SIZE, FeatureStatistics, encode, feature_weights, mirror
 from bunraku.generation.pack import FPS, ExamplePack
 from bunraku.generation.retrieve import Found, Retrieved, retrieve
-from bunraku.generation.verifier import REST, SIDES
+from bunraku.generation.verifier import REST, SIDES, times_asked
 from bunraku.gestures.catalogue import STANDING, at_part
 from bunraku.gestures.interactions import interaction_gesture
 from bunraku.gestures.limb_gesture import in_stance, limb_gesture
-from bunraku.language.lexicon import actions_of, goes_ahead, is_cyclic, lexicon, stays_down
+from bunraku.language.lexicon import actions_of, done_once, goes_ahead, is_cyclic, stays_down
 from bunraku.language.phrasing import tells_all, unseen_word
 from bunraku.language.posing import AS_USUAL, Manner, Posing
 from bunraku.language.sentence import Clause
@@ -71,17 +71,6 @@ class Guide:
 def fits_into(pack: ExamplePack, found: Found, frames: int) -> bool:
     """Whether an example is done within so many frames, or can be cut anywhere."""
     return goes_on(pack, found) or pack.examples[found.number].frames * found.times <= HURRY * frames
-
-
-def fills(pack: ExamplePack, found: Found, frames: int) -> bool:
-    """Whether an example can last for so many frames, if its actions are of those that go on."""
-    if pack.made[found.number]:
-        return True
-    goes = all(is_cyclic(action) and not stays_down(action) for action in pack.said[found.number].actions)
-    if not goes or goes_on(pack, found):
-        return True
-    ends = pack.features(found.number)[[0, -1], 3]
-    return bool(abs(ends[1] - ends[0]) <= CROUCH) or SLOWED * pack.examples[found.number].frames + REST * FPS >= frames
 
 
 def laid(
@@ -134,6 +123,8 @@ def laid(
     # what the network may have seen as little of as the ranker, and what says the same, leads to the end
     made = np.full(frames, example.unranked or found.close)
     loop, times, period = _loop(pack, found), 1, frames
+    if loop is None and manner.lasts and found.close:  # steps come round again, in a clip of a few as well
+        loop = join_point(features, features, WEIGHTS, 1)[:2]
     if loop is None and not (closed or manner.lasts):
         most = min(2 * _FADE, frames // 2)
         shorter = int(random.integers(most + 1))  # of two seeds one is slower
@@ -162,20 +153,21 @@ def laid(
         values = played(values, loop, frames)
         start = int(random.integers(len(values) - frames + 1))
         return Guide(values[start : start + frames], np.ones(frames, np.float32), made)
-    # walks do not stand still after it; the sampler goes on with them
-    last = "free" if manner.lasts else _end(features[-END:], values[-END:], features[0, 3], statistics, example.made)
+    # whoever walks on does not stand still after it; the sampler goes on
+    goes = manner.lasts or _goes(features)
+    actions = pack.said[found.number].actions
+    rises = done_once(actions) and not any(map(stays_down, actions))  # a person who rolls is on the feet again
+    stays = not goes and _stays(features[-END:], values[-END:], features[0, 3], statistics, rises, example.made)
     still = statistics.normalise(np.zeros(FEATURE_SIZE, np.float32))[:3]
     longer = values
-    if last != "free" and len(values) + AROUND < period and pack.standing:
+    if not goes and len(values) + AROUND < period and pack.standing:
         eased = held(values, AROUND, still, EASE)
-        longer = _stood(pack, eased, period, statistics, NEAR if last == "stays" else np.inf, example.made)
+        longer = _stood(pack, eased, period, statistics, NEAR if stays else np.inf, example.made)
         times = times if len(longer) == period else 1  # what stays in another pose is not done again
-    elif last == "free" and times > 1:
-        times = max(round(frames / len(values)), 1)
     longer = repeated(longer, times)[:frames]
     room = frames - len(longer)
     share = np.ones(frames, np.float32)
-    if last != "stays":
+    if not stays:
         share[frames - room :] = smooth_step(np.clip(1 - (np.arange(room) + 1) / _FADE, 0, 1))
     return Guide(held(longer, room, still, EASE), share, made)
 
@@ -210,22 +202,26 @@ def _performed(
     return encode(body_handle_motion(performed(gesture, frames, pack.idles, random, manner, busy=pack.busy)))
 
 
-def _end(
-    features: np.ndarray, values: np.ndarray, other: float, statistics: FeatureStatistics, made: bool = False
-) -> str:
-    """What may follow the end of a motion, by its last frames, shape (M, D), in both units, and the height of the root
-    at its other end [m]: it "stays"; it "moves" but stands, and can be joined to standing; or it is "free", left to the
-    sampler, as in the air, in a crouch and in a run. A gesture `made` by code rests where it says so.
+def _goes(features: np.ndarray) -> bool:
+    """Whether a body walks on at the end of a motion (N, D)."""
+    return bool(np.linalg.norm(features[-END:, 1:3], axis=1).mean() > GOES)
+
+
+def _stays(
+    features: np.ndarray, values: np.ndarray, other: float, statistics: FeatureStatistics, rises: bool, made: bool
+) -> bool:
+    """Whether a body stays as it is at the end of a motion, by its last frames, shape (M, D), in both units, and the
+    height of the root at its other end [m]; if not, as in the air, in a crouch, and on the ground where it `rises`
+    again, it is joined to standing. A gesture `made` by code rests where it says so.
     """
     if made and rests(values, statistics):
-        return "stays"
+        return True
     height = float(features[:, 3].max())
-    if _crouches(height, other) or height > AIRBORNE or np.linalg.norm(features[:, 1:3], axis=1).mean() > GOES:
-        return "free"
+    crouches = height < -CROUCH and other < height + CROUCH and max(height, other) > -3 * CROUCH  # as before a jump
+    if crouches or height > AIRBORNE or (rises and height < -3 * CROUCH):
+        return False
     stands = height > -CROUCH and float(features[:, 8].min()) > UPRIGHT
-    if (rests(values, statistics) and not (stands and on_one_leg(features))) or height < -3 * CROUCH:
-        return "stays"
-    return "moves" if stands else "free"
+    return (rests(values, statistics) and not (stands and on_one_leg(features))) or height < -3 * CROUCH
 
 
 def goes_on(pack: ExamplePack, found: Found) -> bool:
@@ -256,13 +252,6 @@ def pose_distance(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return np.asarray((WEIGHTS[3:] * (first - second) ** 2).sum(axis=-1))
 
 
-def _crouches(here: float, there: float) -> bool:
-    """Whether a body cannot stay at one height of the root over standing [m] in a motion with another one at its other
-    end: the crouch before a jump, and not a seat to get up from, nor the floor.
-    """
-    return here < -CROUCH and there < here + CROUCH and max(here, there) > -3 * CROUCH
-
-
 def repeated(features: np.ndarray, times: int) -> np.ndarray:
     """A motion so many times in a row, each cross-faded into the next, shape (M, D)."""
     fade = min(_FADE, len(features) // 3)
@@ -275,14 +264,13 @@ def repeated(features: np.ndarray, times: int) -> np.ndarray:
 def times_in(frames: int, features: np.ndarray, slowed: float, actions: Collection[str]) -> int:
     """How often a motion (N, D) is done in so many frames: as often as it fits if the lexicon says that its actions go
     on; else as seldom as keeps a body that does it slowly from resting for longer than a motion may (`verifier.REST`).
-    Once, if it ends in a run or at another height than it began.
+    Once, if it ends in a run, or leads to the ground or a seat or up from there.
     """
-    length, rows = len(features), lexicon().actions
-    goes = np.linalg.norm(features[-END:, 1:3], axis=1).mean() > GOES
-    if goes or abs(float(features[-1, 3] - features[0, 3])) > CROUCH:
+    length = len(features)
+    ends = features[[0, -1], 3]
+    if _goes(features) or (ends.min() < -3 * CROUCH and np.ptp(ends) > CROUCH):
         return 1
-    once = any(rows[action].seconds for action in actions if action in rows)
-    times = math.ceil(frames / (slowed * length + REST * FPS)) if once else round(frames / length)
+    times = math.ceil(frames / (slowed * length + REST * FPS)) if done_once(actions) else round(frames / length)
     return max(min(times, int(HURRY * frames / length)), 1)
 
 
@@ -390,17 +378,23 @@ class GuidanceExamples:
         return shown._replace(found=list(filter(agrees, shown.found))) if clause.parts else shown
 
     def parted(self, clause: Clause) -> tuple[Clause, ...]:
-        """A clause in the parts that are done in a row, where no example shows it whole and one shows a part, or where
-        each part has an example that does the very actions and the whole has none.
-        """
-        parted = any(map(self.shows, clause.parts)) and not self.shows(clause)
-        if clause.parts and (parted or (all(map(self._plain, clause.parts)) and not self._plain(clause))):
-            return clause.parts
-        return (clause,)
+        """A clause in the parts that are done in a row, where no example shows it whole and one shows a part."""
+        return clause.parts if any(map(self.shows, clause.parts)) and not self.shows(clause) else (clause,)
 
-    def _plain(self, clause: Clause) -> bool:
-        """Whether the nearest example does a clause's very actions."""
-        return any(found.close or self.pack.made[found.number] for found in self.retrieved(clause).found[:1])
+    def needed(self, script: Sequence[Clause]) -> list[Clause]:
+        """A script without what brings a body to where it already is: a person who bends down to pick something up
+        stands again. The time of it goes to what comes before.
+        """
+        kept: list[Clause] = []
+        for clause in script:
+            pair = [nearest for part in (*kept[-1:], clause) for nearest in self.retrieved(part).found[:1]]
+            if len(pair) == 2:
+                last, first, end = (self._pose(pair[part], at)[0] for part, at in ((0, -1), (1, 0), (1, -1)))
+                if abs(last - end) <= CROUCH < abs(last - first):
+                    whole = kept.pop()
+                    clause = replace(whole.lasting(whole.seconds + clause.seconds), count=whole.count or 1)
+            kept.append(clause)
+        return kept
 
     def unseen(self, clause: Clause) -> tuple[str, str]:
         """A word for a clause's only action that no caption and no example has, and that action; "" and "" for none."""
@@ -441,8 +435,6 @@ class GuidanceExamples:
         for clause, frames in script:
             offered = self.retrieved(clause).found
             fitting = [one for one in offered if fits_into(self.pack, one, frames)] or offered
-            if clause.count is None:
-                fitting = [one for one in fitting if fills(self.pack, one, frames)] or fitting
             if chosen and chosen[-1] is not None:
                 fitting = self._following(chosen[-1], fitting)
             order, own = dealt([example.score for example in fitting], sum(seed))
@@ -482,4 +474,4 @@ def _manner(clause: Clause) -> Manner:
     said = [pace for cue, pace in PACES.items() if cue in clause.cues]
     goes = "goes" in clause.traits or goes_ahead(clause.actions)
     lasts = goes and all(map(is_cyclic, clause.actions)) and clause.count is None and "halts" not in clause.traits
-    return Manner(clause.count, said[0] if len(said) == 1 else 1.0, lasts=lasts, stance=clause.stance)
+    return Manner(times_asked(clause), said[0] if len(said) == 1 else 1.0, lasts=lasts, stance=clause.stance)

@@ -26,8 +26,8 @@ from bunraku.language.captions import mirror_words
 from bunraku.language.clauses import limbs_described
 from bunraku.language.encoders import TextBatch, TextEncoder, text_encoder
 from bunraku.language.interactions import Interaction, says_more
-from bunraku.language.lexicon import goes_ahead, is_cyclic, lexicon
-from bunraku.language.phrasing import tells_all
+from bunraku.language.lexicon import cues_of, done_once, goes_ahead, is_cyclic, lexicon
+from bunraku.language.phrasing import saying, tells_all, told
 from bunraku.language.posing import Posing, Stance
 from bunraku.language.sentence import Clause
 
@@ -60,13 +60,14 @@ _LIMBS = frozenset(f"{side} {limb}" for side in ("left", "right") for limb in ("
 _SIDED = frozenset(lexicon().reading["shown"])
 _COUNTS = frozenset(("twice", "thrice", "often"))
 """Captured examples must say these, too; a gesture is done as often as requested."""
-_WAYS = frozenset(("left go", "right go"))
+_SAYS = {"left go": "to the left", "right go": "to the right"}  # cues in words
+_WAYS = frozenset(_SAYS)
+_SPEEDS, _TURNS, _ANGLES = map(cues_of, ("speed", "turn side", "degrees"))
 MOST_TIMES = 4  # most repetitions of a captured example in a row
-_ADDED_WAYS = frozenset(("backwards", "forward", "sideways", "left go", "right go"))
+_ADDED_WAYS = cues_of("direction") | {"sideways"}
 _ADDED = frozenset(("high", "low")) | _ADDED_WAYS
 _ADDED_TRAITS = frozenset(("on a leg", "backward", "stairs"))
 """Cues and traits of a clause that a gesture does not do where its own words do not say them."""
-_SAYS = {"left go": "to the left", "right go": "to the right"}  # cues in words
 
 
 class Found(NamedTuple):
@@ -100,10 +101,17 @@ class Retrieved(NamedTuple):
 
 
 def retrieve(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> Retrieved:
-    """Examples that show what a clause says (`_offered`), or where none does, what is nearest to it by the lexicon;
-    without turns where it speaks of none.
+    """Examples that show what a clause says (`_offered`), or where none does, a gait without its turn, or what is
+    nearest to it by the lexicon; without turns where it speaks of none.
     """
     offered, straight, rows = _offered(pack, clause, vector), not asks_to_turn(clause), lexicon().actions
+    onward = tuple(action for action in clause.actions if not rows[action].turns)
+    shown = [pack.said[example.number].actions for example in offered.found]
+    if (
+        clause.turn and clause.locomotion and onward and frozenset(clause.actions) not in shown
+    ):  # its course is bent afterwards
+        bent = _offered(pack, replace(clause, actions=onward, cues=clause.cues - _TURNS - _ANGLES), vector)
+        offered = bent if bent.found else offered
     nearest = tuple(dict.fromkeys(rows[action].like or action for action in clause.actions))
     if not offered.found and nearest != clause.actions:
         like = replace(clause, actions=nearest)  # which may be done another way: a hit from the left, a stagger
@@ -218,15 +226,18 @@ def _retrieved(
             total = float(score[index]) - EXTRA * (_apart(said, mirrored, query, made) + other_hand)
             close = not made and (same or (bool(clause.actions) and said.actions == query.actions and not said.besides))
             found.append(Found(index, mirrored, total, part, times, close=close))
+    # those that do more or less count where no other does the very actions
+    found = [example for example in found if example.close or pack.made[example.number]] or found
     found.sort(key=lambda example: -example.score)
     best_made = bool(found) and bool(pack.made[found[0].number])
     best_made = best_made and query.actions != {"stand up"}  # that depends on how the person sits, kneels or lies
     away = NEAR_MADE if best_made else NEAR
     kept = [example for example in found if example.score >= found[0].score - away]
-    complete = [
-        example for example in kept if example.part or tells_all(clause.added, pack.examples[example.number].texts)
-    ]
-    return Retrieved((complete or kept)[:MOST], () if complete else tuple(lacking))
+    words = saying(clause.person, clause.actions, clause.added)  # a hook is rather a hook than a punch
+    shares = [len(words) if example.part else told(words, pack.examples[example.number].texts) for example in kept]
+    most = max(shares, default=-1)
+    kept = [example for example, share in zip(kept, shares, strict=True) if share == most]
+    return Retrieved(kept[:MOST], () if most == len(words) else tuple(lacking))
 
 
 def _does(said: Said, query: Said, same: bool, made: bool) -> bool:
@@ -246,17 +257,17 @@ def _agrees(said: Said, mirrored: bool, query: Said, wanted: frozenset[str]) -> 
     for pair in lexicon().contrary:
         if pair & wished and pair & shown and not pair & wished & shown:
             return False
-    return wanted <= cues and cues & {"slow", "fast"} <= query.cues
+    unasked = (
+        frozenset[str]() if done_once(query.actions) else _SPEEDS
+    )  # what is done once, like a blow, has a speed of its own
+    unasked |= {"in place"} if goes_ahead(query.actions) else frozenset[str]()
+    return wanted <= cues and not cues & unasked - query.cues
 
 
+@functools.lru_cache(maxsize=4096)
 def mirrored_cues(cues: frozenset[str]) -> frozenset[str]:
     """Cues with left and right exchanged."""
-    other_side = {"left": "right", "right": "left"}
-    out = set()
-    for cue in cues:
-        side, _, part = cue.partition(" ")
-        out.add(f"{other_side[side]} {part}" if side in other_side else cue)
-    return frozenset(out)
+    return frozenset(map(mirror_words, cues))
 
 
 def _apart(said: Said, mirrored: bool, query: Said, made: bool) -> float:
@@ -295,8 +306,9 @@ def _lacks(pack: ExamplePack, index: int, mirrored: bool, clause: Clause) -> tup
 def _shown(query: Said) -> frozenset[str]:
     """Cues that an example must say, too: "forward" where a person goes, "around" where a person turns."""
     idle = frozenset[str]() if goes_ahead(query.actions) else {"forward"}
-    turns = not query.actions.isdisjoint(("turn", "turn around", "spin", "circle"))
-    return (query.cues & _SIDED) - idle - (frozenset[str]() if turns else {"half", "full"})
+    rows = lexicon().actions
+    turns = any("turn" in (action, *rows[action].covers) for action in query.actions if action in rows)
+    return (query.cues & _SIDED) - idle - (frozenset[str]() if turns else _ANGLES)
 
 
 def take_of(name: str) -> str:

@@ -12,7 +12,7 @@ from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.geometry.curves import gaussian, running_least
 from bunraku.core.geometry.rotations import heading, matrix_y
 from bunraku.core.motion import HandleMotion
-from bunraku.language.lexicon import goes_ahead, lexicon, stays_down
+from bunraku.language.lexicon import done_once, goes_ahead, lexicon, stays_down
 from bunraku.language.posing import Posing
 from bunraku.language.sentence import Clause
 
@@ -168,6 +168,11 @@ def verify(clause: Clause, motion: HandleMotion, described: bool = True) -> Verd
         if (plain or not claim.of_one) and (score := claim.holds(clause, track)) is not None
     ]
     return Verdict(*min(scores, key=lambda pair: pair[0])) if scores else None
+
+
+def times_asked(clause: Clause) -> int | None:
+    """How often a clause asks for what it says, and once for a turn by an angle; None where it says nothing of that."""
+    return clause.count or (1 if clause.turn is not None and np.isfinite(clause.turn.most) else None)
 
 
 def asks_to_turn(clause: Clause) -> bool:
@@ -342,8 +347,7 @@ def _begins(clause: Clause, track: Track) -> float | None:
 
 def _done(clause: Clause, track: Track) -> float | None:
     """A body does what is done once, and does not only stand ready for it."""
-    rows = lexicon().actions
-    if asks_to_turn(clause) or not any(rows[action].seconds for action in clause.actions if action in rows):
+    if asks_to_turn(clause) or not done_once(clause.actions):
         return None
     points = np.stack(list(track.points.values()), axis=1)
     speed = np.linalg.norm(np.gradient(points, axis=0), axis=-1).max(axis=1) * track.fps
@@ -352,11 +356,11 @@ def _done(clause: Clause, track: Track) -> float | None:
 
 def _fills(clause: Clause, track: Track) -> float | None:
     """The body does not rest for long at the end of what goes on, but after a change of posture and on the ground."""
-    if not clause.traits.isdisjoint(("halts", "gets up", "on a leg")) or any(
-        action == "idle" or stays_down(action) for action in clause.actions
-    ):
+    still = any(action == "idle" or stays_down(action) for action in clause.actions)
+    if still or times_asked(clause) or not clause.traits.isdisjoint(("halts", "on a leg")):
         return None
-    if _ends(track)[1] < -_SEAT:
+    first, last = _ends(track)
+    if last < -_SEAT or last - first > _SEAT:
         return None
     speed = _speed(track)
     rest = (len(speed) - 1 - np.flatnonzero(speed >= _CALM * speed.max())[-1]) / track.fps

@@ -85,7 +85,7 @@ class Variation:
     holds: tuple[float, float] = (0.6, 1.8)  # least and largest factor of how long a pose is held
     pauses: float = 0.2  # share of the times after which there is a pause
     pause: tuple[float, float] = (0.15, 0.6)  # its shortest and longest [s]
-    before: float = 1.0  # longest wait before it [s]
+    before: float = 0.6  # longest wait before it [s]
     after: float = 1.2  # the same after it, from which on a gesture is made again
     hurry: float = 1.35  # factor by which it is sped up at the most to fit in
 

@@ -257,6 +257,12 @@ def lexicon() -> Lexicon:
     )  # fmt: skip
 
 
+def cues_of(field: str) -> frozenset[str]:
+    """The cues for all that the reader says in a field (`reader.FIELDS`), such as its "speed"."""
+    said = lexicon().reading["fields"].items()
+    return frozenset(cue for name, cues in said if name.startswith(f"{field} ") for cue in cues.split(", "))
+
+
 def _of_verbs(actions: Mapping[str, Action], others: Mapping[str, str]) -> dict[str, str]:
     """The locomotion of each verb: of the actions that it says alone, and of a table of others."""
     found: dict[str, str] = {}
@@ -385,6 +391,12 @@ def is_cyclic(action: str) -> bool:
     """Whether an action is still the same when it is done again; no for a word that the lexicon does not have."""
     row = lexicon().actions.get(action)
     return row is not None and row.cyclic
+
+
+def done_once(actions: Collection[str]) -> bool:
+    """Whether any of some actions is done once and does not go on."""
+    rows = lexicon().actions
+    return any(action in rows and rows[action].seconds for action in actions)
 
 
 def stays_down(action: str) -> bool:

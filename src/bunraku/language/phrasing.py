@@ -92,6 +92,13 @@ def added_words(text: str, actions: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(found))
 
 
+def saying(text: str, actions: Sequence[str], added: Collection[str] = ()) -> list[str]:
+    """The words of a text that say its actions, in the lexicon's words, and those that it adds."""
+    own = frozenset[str]().union(*map(_own, actions))
+    words = [word for word in words_of(text)[0] if word.isalpha() and word not in FUNCTION_WORDS]
+    return [word for word in words if word in added or stem(word) in own]
+
+
 def unseen_word(text: str, action: str) -> str:
     """The word that says an action in a text, where no watched caption has any that does; "" where one has.
 
@@ -99,8 +106,7 @@ def unseen_word(text: str, action: str) -> str:
         text: In English.
         action: In the lexicon's words.
     """
-    said = [word for word in words_of(text)[0] if word.isalpha() and word not in FUNCTION_WORDS]
-    said = [word for word in said if stem(word) in _own(action)]
+    said = saying(text, (action,))
     named = _stems_of((action,))
     if any(stem(word) in named or stem(word) in caption_stems() for word in said):
         return ""
@@ -110,3 +116,8 @@ def unseen_word(text: str, action: str) -> str:
 def tells_all(added: Collection[str], texts: tuple[str, ...]) -> bool:
     """Whether all of the words that a clause adds are among those of some sentences."""
     return all(stem(word) in _stems_of(texts) for word in added)
+
+
+def told(words: Collection[str], texts: tuple[str, ...]) -> int:
+    """How many of some words one of some sentences has at the most."""
+    return max([sum(stem(word) in _stems_of((text,)) for word in words) for text in texts], default=0)
