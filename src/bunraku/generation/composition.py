@@ -56,10 +56,12 @@ def turned_as_asked(features: np.ndarray, script: Sequence[tuple[Clause, int]], 
         requested, angle = clause.turn, float(out[part, 0].sum()) / fps
         if requested is None or not angle:
             continue
-        least, along = requested.least + INSIDE, np.hanning(len(out[part]) + 2)[1:-1]
-        wanted = np.clip(abs(angle), least, max(requested.most - INSIDE, least)) * (requested.side or np.sign(angle))
+        side, least, most = requested.side or np.sign(angle), requested.least, requested.most
+        wanted = side * np.clip(abs(angle), least + INSIDE, max(most - INSIDE, least + INSIDE))
         if abs(angle) <= TURN and clause.locomotion:
-            out[part, 0] += (wanted - angle) * fps * along / along.sum()
+            along = np.hanning(len(out[part]) + 2)[1:-1]
+            middle = (least + min(most, least + 2 * np.pi)) / 2
+            out[part, 0] += (side * middle - angle) * fps * along / along.sum()
         elif 1 / MOST <= wanted / angle <= MOST:
             out[part, 0] *= wanted / angle
     return out

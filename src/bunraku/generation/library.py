@@ -219,8 +219,10 @@ def features_of(stretch: str, seconds: float | None = None, loop: bool = False) 
     if number is None:
         raise WeightsError(f"the examples have no stretch {stretch}; install Bunraku again")
     values, rounds = pack.features(number), pack.examples[number].loop
-    if loop and rounds:
-        return _rounds(values, rounds, len(values) if seconds is None else round(seconds * FPS))
+    if loop and rounds:  # as many whole rounds as come nearest to this: all that are repeated are alike
+        start, length = rounds[0], rounds[0] - rounds[1]
+        stop = start + length * max(round((len(values) if seconds is None else round(seconds * FPS)) / length), 1)
+        return played(values, rounds, stop)[start:stop]
     if seconds is None:
         return values
     frames = max(round(seconds * FPS), 1)
@@ -228,15 +230,6 @@ def features_of(stretch: str, seconds: float | None = None, loop: bool = False) 
         still = np.zeros(3, values.dtype)
         values = played(values, rounds, frames) if rounds else held(values, frames - len(values), still, _EASE)
     return values[:frames]
-
-
-def _rounds(values: np.ndarray, loop: tuple[int, int], frames: int) -> np.ndarray:
-    """As many whole rounds of a loop as come nearest to this many frames: all that are repeated are alike."""
-    from bunraku.generation.composition import played
-
-    start, length = loop[0], loop[0] - loop[1]
-    count = max(round(frames / length), 1)
-    return played(values, loop, start + count * length)[start : start + count * length]
 
 
 @functools.lru_cache(maxsize=2)

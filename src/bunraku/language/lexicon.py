@@ -183,10 +183,10 @@ class Lexicon:
     numbers: dict[str, int]  # what words count
     holding: frozenset[str]  # verbs that say where a part of the body is, in all their forms
     levels: dict[str, float]  # heights of things in metres, for a body of 1.84 m
-    # `fields`, the cues for what the reader says of an action, by "field value"; `choices`, cues of one kind; `beside
-    # things`, actions that are no more than walking or looking there, or handling a thing; `gazes`, by what is seen the
-    # pitch, sweep and lean of `Gaze`, chosen by eye on sheets of the sentences of benchmarks/things.txt; `shown`, cues
-    # that an example must say too
+    # `fields`, the cues for what the reader says of an action, by "field value"; `beside things`, actions that are no
+    # more than walking or looking there, or handling a thing; `gazes`, by what is seen the pitch, sweep and lean of
+    # `Gaze`, chosen by eye on sheets of the sentences of benchmarks/things.txt; `shown`, cues that an example must say
+    # too
     reading: dict[str, Any]
     contrary: tuple[frozenset[str], ...]  # cues and traits of which an example does not say another than is said
     grammar: dict[str, frozenset[str]]  # sets of words, by what they are
@@ -240,19 +240,15 @@ def lexicon() -> Lexicon:
         Otherwise(**{**row, "locomotion": tuple(row["locomotion"]), "bodies": tuple(row["bodies"])})
         for row in data["otherwise"]
     ]
-    irregular = {}
-    for word, listed in data["irregular"].items():
-        for form in listed.split():
-            irregular[form] = word
     return Lexicon(
         verbs=verbs, third=frozenset(third), gerund=frozenset(gerund), lemmas=lemmas, actions=actions, phrases=phrases,
         posing=posing, past={form: past[form] for form in past.keys() - verbs.keys() - third - gerund},
-        locomotion=_by_form(moving, verbs), cues=tuple(data["cues"]), places=places,
-        synonyms=dict(data["synonyms"]), ground=data["ground"], otherwise=tuple(otherwise),
+        locomotion={form: way for verb, way in moving.items() for form in (verb, *verbs[verb])}, places=places,
+        cues=tuple(data["cues"]), synonyms=dict(data["synonyms"]), ground=data["ground"], otherwise=tuple(otherwise),
         numbers=data["numbers"], holding=signs["<holding>"], levels=data["levels"],
         contrary=tuple(map(frozenset, data["contrary"])), reading=data["reading"],
         grammar={name: frozenset(listed.split()) for name, listed in data["grammar"].items()}, limbs=data["limbs"],
-        irregular=irregular,
+        irregular={form: word for word, listed in data["irregular"].items() for form in listed.split()},
         words=frozenset(phrases.words | posing.words).union(" ".join(actions).replace("-", " ").split()),
     )  # fmt: skip
 
@@ -277,11 +273,6 @@ def _of_verbs(actions: Mapping[str, Action], others: Mapping[str, str]) -> dict[
         for verb in some.split():
             found[verb] = value
     return found
-
-
-def _by_form(table: Mapping[str, str], verbs: Mapping[str, tuple[str, ...]]) -> dict[str, str]:
-    """What a table has for verbs, for all their forms."""
-    return {form: value for verb, value in table.items() for form in (verb, *verbs[verb])}
 
 
 _WORD = re.compile(r"[^\W_]+|[^\w\s'’-]")

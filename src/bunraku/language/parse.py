@@ -14,6 +14,7 @@ from bunraku.language.interactions import interaction_of, says_more, with_names
 from bunraku.language.lexicon import (
     Otherwise,
     actions_of,
+    cues_of,
     lexicon,
     locomotion_of,
     said_cues,
@@ -190,7 +191,7 @@ def _clause(text: str, seconds: float, voices: tuple[Clause, ...] = (), parts: t
     )  # fmt: skip
 
 
-_CHOICES = tuple(map(frozenset, lexicon().reading["choices"]))
+_CHOICES = tuple(map(cues_of, ("direction", "turn side", "degrees", "speed")))
 """Cues of one kind: what the network reads counts, and where it reads none, the words."""
 
 

@@ -108,9 +108,8 @@ def unseen_word(text: str, action: str) -> str:
     """
     said = saying(text, (action,))
     named = _stems_of((action,))
-    if any(stem(word) in named or stem(word) in caption_stems() for word in said):
-        return ""
-    return said[0] if said else ""
+    seen = any(stem(word) in named or stem(word) in caption_stems() for word in said)
+    return "" if seen else next(iter(said), "")
 
 
 def tells_all(added: Collection[str], texts: tuple[str, ...]) -> bool:
