@@ -364,6 +364,7 @@ def test_a_gesture_that_leaves_out_what_is_added_is_not_used_and_it_is_said(netw
 def test_who_stands_already_does_not_get_up(networks):
     for prompt, parts in (
         ("a person bends down to pick up an object, then stands up straight", 1),
+        ("a person turns to the right and starts sneakily moving forward", 2),
         ("a person sits down, then stands up", 2),
     ):
         found, clauses = known(networks, prompt)

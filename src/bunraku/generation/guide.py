@@ -382,15 +382,15 @@ class GuidanceExamples:
         return clause.parts if any(map(self.shows, clause.parts)) and not self.shows(clause) else (clause,)
 
     def needed(self, script: Sequence[Clause]) -> list[Clause]:
-        """A script without what brings a body to where it already is: a person who bends down to pick something up
-        stands again. The time of it goes to what comes before.
+        """A script without getting up from where a body is not: a person who bends down to pick something up stands
+        again. The time of it goes to what comes before.
         """
         kept: list[Clause] = []
         for clause in script:
             pair = [nearest for part in (*kept[-1:], clause) for nearest in self.retrieved(part).found[:1]]
-            if len(pair) == 2:
+            if len(pair) == 2 and "gets up" in clause.cues:
                 last, first, end = (self._pose(pair[part], at)[0] for part, at in ((0, -1), (1, 0), (1, -1)))
-                if abs(last - end) <= CROUCH < abs(last - first):
+                if abs(last - end) <= CROUCH and last - first > 3 * CROUCH:
                     whole = kept.pop()
                     clause = replace(whole.lasting(whole.seconds + clause.seconds), count=whole.count or 1)
             kept.append(clause)
