@@ -325,7 +325,7 @@ def test_only_the_sentence_that_says_forward_is_straightened():
         ("a person turns left", -60, -60),  # the wrong way is not repaired here
         ("a person turns around", 60, 60),  # nor is less than two thirds
         ("a person walks", 60, 60),
-        ("a person walks and turns left", 1, 90),  # the course of a person who goes straight on is bent
+        ("a person walks and turns left", 1, 90),  # the course of a person who goes on is bent
     ],
 )
 def test_a_turn_that_nearly_goes_as_far_as_asked_does(sentence, before, after):

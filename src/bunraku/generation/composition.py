@@ -44,7 +44,7 @@ def steadied(features: np.ndarray, loop: bool = False) -> np.ndarray:
 
 def turned_as_asked(features: np.ndarray, script: Sequence[tuple[Clause, int]], fps: float) -> np.ndarray:
     """A motion whose turns go as far as its clauses say, where they nearly do: faster or slower by at most `MOST`,
-    shape (N, D), float32. The course of a person who goes straight on is bent.
+    shape (N, D), float32. The course of a person who goes another way is bent.
 
     Args:
         features: Features of each frame, the root's yaw velocity [rad/s] first, shape (N, D).
@@ -58,12 +58,12 @@ def turned_as_asked(features: np.ndarray, script: Sequence[tuple[Clause, int]], 
             continue
         side, least, most = requested.side or np.sign(angle), requested.least, requested.most
         wanted = side * np.clip(abs(angle), least + INSIDE, max(most - INSIDE, least + INSIDE))
-        if abs(angle) <= TURN and clause.locomotion:
+        if 1 / MOST <= wanted / angle <= MOST:
+            out[part, 0] *= wanted / angle
+        elif clause.locomotion:
             along = np.hanning(len(out[part]) + 2)[1:-1]
             middle = (least + min(most, least + 2 * np.pi)) / 2
             out[part, 0] += (side * middle - angle) * fps * along / along.sum()
-        elif 1 / MOST <= wanted / angle <= MOST:
-            out[part, 0] *= wanted / angle
     return out
 
 

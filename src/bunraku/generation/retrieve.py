@@ -233,7 +233,8 @@ def _retrieved(
     best_made = best_made and query.actions != {"stand up"}  # that depends on how the person sits, kneels or lies
     away = NEAR_MADE if best_made else NEAR
     kept = [example for example in found if example.score >= found[0].score - away]
-    words = saying(clause.person, clause.actions, clause.added)  # a hook is rather a hook than a punch
+    blows = clause.actions if done_once(clause.actions) else ()  # a hook is rather a hook than a punch
+    words = saying(clause.person, blows, clause.added)
     shares = [len(words) if example.part else told(words, pack.examples[example.number].texts) for example in kept]
     most = max(shares, default=-1)
     kept = [example for example, share in zip(kept, shares, strict=True) if share == most]
