@@ -153,7 +153,7 @@ def laid(
         values = played(values, loop, frames)
         start = int(random.integers(len(values) - frames + 1))
         return Guide(values[start : start + frames], np.ones(frames, np.float32), made)
-    # whoever walks on does not stand still after it; the sampler goes on
+    # a person who walks on does not stand still after it; the sampler goes on
     goes = manner.lasts or _goes(features)
     actions = pack.said[found.number].actions
     rises = done_once(actions) and not any(map(stays_down, actions))  # a person who rolls is on the feet again
