@@ -244,7 +244,7 @@ def test_a_hook_is_rather_a_hook_than_another_punch(pack):
     texts = ("a person throws a punch with the left hand", "a person throws a left hook")
     punches = tuple(replace(example, texts=(said,)) for example, said in zip(pack.examples, texts, strict=True))
     near = (AXES[0] + AXES[1]) / 2**0.5
-    assert names(replace(pack, examples=punches), "someone throws a left hook", near) == [("kick", False)]
+    assert names(replace(pack, examples=punches), "someone throws a left hook", near)[0] == ("kick", False)
 
 
 def test_what_is_high_is_no_example_of_what_is_low(pack):
@@ -270,7 +270,7 @@ def test_a_part_of_what_is_done_counts(pack):
     assert names(pack, "a person waves and nods", near) == [("wave", False)]
     texts = ("a person waves and nods", "a person waves")
     both = tuple(replace(example, texts=(said,)) for example, said in zip(pack.examples, texts, strict=True))
-    nearer = 0.75 * AXES[0] + 0.66 * AXES[1]  # but another does the very action
+    nearer = 0.71 * AXES[0] + 0.7 * AXES[1]  # but another does the very action
     assert names(replace(pack, examples=both), "someone waves", nearer) == [("kick", False)]
     assert not retrieve(pack, clause_of("a person waves and nods"), near).found[0].close
     assert retrieve(pack, clause_of("someone waves"), AXES[0]).found[0].close

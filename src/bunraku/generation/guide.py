@@ -27,7 +27,7 @@ from bunraku.generation.composition import (
 )
 from bunraku.generation.features import FEATURE_SIZE, FeatureStatistics, encode, feature_weights, mirror
 from bunraku.generation.pack import FPS, ExamplePack
-from bunraku.generation.retrieve import Found, Retrieved, retrieve
+from bunraku.generation.retrieve import SHARED, Found, Retrieved, retrieve
 from bunraku.generation.verifier import REST, SIDES, times_asked
 from bunraku.gestures.catalogue import STANDING, at_part
 from bunraku.gestures.interactions import interaction_gesture
@@ -326,8 +326,6 @@ class GuidanceExample:
 
 NEARER = 0.05
 """Scale of the numbers from a Gumbel distribution that are added to the examples' scores from the second deal on."""
-SHARED = 4
-"""Seeds in a row among which the examples are dealt, so that no two of them have the same."""
 NEAREST = 3
 ALIKE = 1.0  # further distance of poses from the nearest up to which others may begin, too
 LEFT = 0.35  # share of gestures that are done with the left hand where no side is said; chosen by eye
@@ -388,7 +386,7 @@ class GuidanceExamples:
         kept: list[Clause] = []
         for clause in script:
             pair = [nearest for part in (*kept[-1:], clause) for nearest in self.retrieved(part).found[:1]]
-            if len(pair) == 2 and "gets up" in clause.cues:
+            if len(pair) == 2 and "gets up" in clause.cues and kept[-1].stance is None:
                 last, first, end = (self._pose(pair[part], at)[0] for part, at in ((0, -1), (1, 0), (1, -1)))
                 if abs(last - end) <= CROUCH and last - first > 3 * CROUCH:
                     whole = kept.pop()

@@ -33,12 +33,16 @@ from bunraku.language.sentence import Clause
 
 # Chosen by eye on sheets of generated motion.
 MOST = 8  # examples that are offered for a sentence
+SHARED = 4  # seeds in a row among which they are dealt, so that no two of them have the same
 NEAR = 0.12
 """Mean cosine by which an example may be farther than the nearest one. Chosen by eye, as are the next ones."""
 MOTION = 0.15  # share of the cosine with the motion in a score, beside that with the nearest sentence
 EXTRA = 0.04  # by which an example counts for less for each thing that it shows and that was not requested
 STANDS = 4  # things for which standing counts in an example of what goes on: others of the same action come first
-NEAR_MADE = 0.05  # the same where the nearest is made by code, since captured ones show its action less plainly
+NEAR_MADE = 0.05
+"""The same where the nearest is made by code, since captured ones show its action less plainly; and of one that does
+the very actions, if others may be left out for it.
+"""
 LEAST = 0.65  # least mean cosine of an example that does not do the very actions
 WALKING = 0.8  # the same for plain walks and runs, which the network does well by itself
 SAME = 0.9
@@ -75,7 +79,8 @@ class Found(NamedTuple):
 
     number: int  # its index in the pack
     mirrored: bool  # its mirror image is meant
-    score: float  # mean of the cosine of the sentence with its nearest sentence, and of that with its motion
+    # mean of the cosine of the sentence with its nearest sentence, and of that with its motion; and words that it says
+    score: float
     part: str = ""  # the part of the body at which a gesture is done in place of its own; "" for its own
     times: int = 1  # repetitions of a captured one that shows a counted action once
     # what is done with a thing, follows from one, or is done by limbs, as a gesture of its own
@@ -192,12 +197,12 @@ def _retrieved(
     gait = bool(clause.actions) and query.actions <= {"walk", "run"}
     least = WALKING if gait else least or LEAST
     read = pack.readings is not None and bool(clause.actions) and not gait  # labelled by hand
-    exact = np.array([read and said.actions == query.actions for said in pack.said], bool)
+    same_actions = np.array([read and said.actions == query.actions for said in pack.said], bool)
     found = []
     for mirrored in (False, True):
         near, moves = pack.nearness(vector, mirrored)
         score = near + MOTION * (moves - near)
-        for index in np.flatnonzero(pack.made | exact | (score >= least)).tolist():
+        for index in np.flatnonzero(pack.made | same_actions | (score >= least)).tolist():
             made = bool(pack.made[index])
             if made and (not clause.actions or (mirrored and not sided)):  # it takes the hand that most people take
                 continue
@@ -226,19 +231,23 @@ def _retrieved(
             total = float(score[index]) - EXTRA * (_apart(said, mirrored, query, made) + other_hand)
             close = not made and (same or (bool(clause.actions) and said.actions == query.actions and not said.besides))
             found.append(Found(index, mirrored, total, part, times, close=close))
-    # those that do more or less count where no other does the very actions
-    found = [example for example in found if example.close or pack.made[example.number]] or found
     found.sort(key=lambda example: -example.score)
+    exact = [example for example in found if example.close or pack.made[example.number]]
+    if exact and exact[0].score >= found[0].score - NEAR_MADE:  # what does more or less is then not asked for
+        found = exact
     best_made = bool(found) and bool(pack.made[found[0].number])
     best_made = best_made and query.actions != {"stand up"}  # that depends on how the person sits, kneels or lies
     away = NEAR_MADE if best_made else NEAR
     kept = [example for example in found if example.score >= found[0].score - away]
-    blows = clause.actions if done_once(clause.actions) else ()  # a hook is rather a hook than a punch
-    words = saying(clause.person, blows, clause.added)
-    shares = [len(words) if example.part else told(words, pack.examples[example.number].texts) for example in kept]
-    most = max(shares, default=-1)
-    kept = [example for example, share in zip(kept, shares, strict=True) if share == most]
-    return Retrieved(kept[:MOST], () if most == len(words) else tuple(lacking))
+    complete = [
+        example for example in kept if example.part or tells_all(clause.added, pack.examples[example.number].texts)
+    ]
+    words = saying(clause.person, clause.actions) if done_once(clause.actions) else ()  # a hook is no other punch
+    shares = [told(words, pack.examples[example.number].texts) for example in complete or kept]
+    ranked = sorted(zip(shares, complete or kept, strict=True), key=lambda pair: -pair[0])
+    most = max(shares.count(max(shares, default=0)), SHARED)
+    kept = [example._replace(score=example.score + share) for share, example in ranked[: min(most, MOST)]]
+    return Retrieved(kept, () if complete else tuple(lacking))
 
 
 def _does(said: Said, query: Said, same: bool, made: bool) -> bool:

@@ -92,11 +92,11 @@ def added_words(text: str, actions: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def saying(text: str, actions: Sequence[str], added: Collection[str] = ()) -> list[str]:
-    """The words of a text that say its actions, in the lexicon's words, and those that it adds."""
+def saying(text: str, actions: Sequence[str]) -> list[str]:
+    """The words of a text that say its actions, in the lexicon's words."""
     own = frozenset[str]().union(*map(_own, actions))
     words = [word for word in words_of(text)[0] if word.isalpha() and word not in FUNCTION_WORDS]
-    return [word for word in words if word in added or stem(word) in own]
+    return [word for word in words if stem(word) in own]
 
 
 def unseen_word(text: str, action: str) -> str:
