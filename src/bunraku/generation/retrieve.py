@@ -112,9 +112,8 @@ def retrieve(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> Retrieved
     offered, straight, rows = _offered(pack, clause, vector), not asks_to_turn(clause), lexicon().actions
     onward = tuple(action for action in clause.actions if not rows[action].turns)
     shown = [pack.said[example.number].actions for example in offered.found]
-    if (
-        clause.turn and clause.locomotion and onward and frozenset(clause.actions) not in shown
-    ):  # its course is bent afterwards
+    # of a gait with a turn, the course is bent afterwards
+    if clause.turn and clause.locomotion and onward and frozenset(clause.actions) not in shown:
         bent = _offered(pack, replace(clause, actions=onward, cues=clause.cues - _TURNS - _ANGLES), vector)
         offered = bent if bent.found else offered
     nearest = tuple(dict.fromkeys(rows[action].like or action for action in clause.actions))
@@ -267,9 +266,8 @@ def _agrees(said: Said, mirrored: bool, query: Said, wanted: frozenset[str]) -> 
     for pair in lexicon().contrary:
         if pair & wished and pair & shown and not pair & wished & shown:
             return False
-    unasked = (
-        frozenset[str]() if done_once(query.actions) else _SPEEDS
-    )  # what is done once, like a blow, has a speed of its own
+    # what is done once, like a blow, has a speed of its own
+    unasked = frozenset[str]() if done_once(query.actions) else _SPEEDS
     unasked |= {"in place"} if goes_ahead(query.actions) else frozenset[str]()
     return wanted <= cues and not cues & unasked - query.cues
 

@@ -238,8 +238,9 @@ _DEGREES = {
 
 def _turn(frames: Sequence[Frame]) -> Turn | None:
     """How far the body turns; None where nothing of the kind is said, or both sides are."""
-    named = [one for one in frames if one.action in ("turn", *_TURNS) or not lexicon().actions[one.action].turns]
-    turns = [frame for frame in named if "turn side" in frame.fields or frame.action in ("turn", *_TURNS)]
+    rows, plain = lexicon().actions, ("turn", *_TURNS)
+    named = [frame for frame in frames if frame.action in plain or not rows[frame.action].turns]
+    turns = [frame for frame in named if "turn side" in frame.fields or frame.action in plain]
     sides = {frame.fields.get("turn side", "?") for frame in turns}
     if not turns or {"left", "right"} <= sides:
         return None
