@@ -41,7 +41,7 @@ EXTRA = 0.04  # by which an example counts for less for each thing that it shows
 STANDS = 4  # things for which standing counts in an example of what goes on: others of the same action come first
 NEAR_MADE = 0.05
 """The same where the nearest is made by code, since captured ones show its action less plainly; and of one that does
-the very actions, if others may be left out for it.
+the very actions, if it comes before others.
 """
 LEAST = 0.65  # least mean cosine of an example that does not do the very actions
 WALKING = 0.8  # the same for plain walks and runs, which the network does well by itself
@@ -79,7 +79,8 @@ class Found(NamedTuple):
 
     number: int  # its index in the pack
     mirrored: bool  # its mirror image is meant
-    # mean of the cosine of the sentence with its nearest sentence, and of that with its motion; and words that it says
+    # mean of the cosine of the sentence with its nearest sentence, and of that with its motion; and words that it says,
+    # and 1 for the very actions
     score: float
     part: str = ""  # the part of the body at which a gesture is done in place of its own; "" for its own
     times: int = 1  # repetitions of a captured one that shows a counted action once
@@ -232,8 +233,7 @@ def _retrieved(
             found.append(Found(index, mirrored, total, part, times, close=close))
     found.sort(key=lambda example: -example.score)
     exact = [example for example in found if example.close or pack.made[example.number]]
-    if exact and exact[0].score >= found[0].score - NEAR_MADE:  # what does more or less is then not asked for
-        found = exact
+    first = bool(exact) and exact[0].score >= found[0].score - NEAR_MADE  # before what does more or less
     best_made = bool(found) and bool(pack.made[found[0].number])
     best_made = best_made and query.actions != {"stand up"}  # that depends on how the person sits, kneels or lies
     away = NEAR_MADE if best_made else NEAR
@@ -242,7 +242,9 @@ def _retrieved(
         example for example in kept if example.part or tells_all(clause.added, pack.examples[example.number].texts)
     ]
     words = saying(clause.person, clause.actions) if done_once(clause.actions) else ()  # a hook is no other punch
-    shares = [told(words, pack.examples[example.number].texts) for example in complete or kept]
+    shares = [
+        told(words, pack.examples[example.number].texts) + (first and example in exact) for example in complete or kept
+    ]
     ranked = sorted(zip(shares, complete or kept, strict=True), key=lambda pair: -pair[0])
     most = max(shares.count(max(shares, default=0)), SHARED)
     kept = [example._replace(score=example.score + share) for share, example in ranked[: min(most, MOST)]]
