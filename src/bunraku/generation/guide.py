@@ -163,7 +163,7 @@ def laid(
     if not goes and len(values) + AROUND < period and pack.standing:
         eased = held(values, AROUND, still, EASE)
         longer = _stood(pack, eased, period, statistics, NEAR if stays else np.inf, example.made)
-        times = times if len(longer) == period else 1  # what stays in another pose is not done again
+        longer = held(longer, period - len(longer), still, EASE)  # in its own pose where that is far from standing
     longer = repeated(longer, times)[:frames]
     room = frames - len(longer)
     share = np.ones(frames, np.float32)
