@@ -6,12 +6,18 @@ import { bend, choose, deleteTake, regenerate, remake, replayLink, star } from "
 import { send } from "./api";
 import { viewer } from "./stage";
 import { attempt, change, changing, character, comparing, doc, ended, instead, interrupted, ownTakes, running, say, take, time, uploading } from "./state";
-import type { Take, Vec3 } from "./types";
+import type { Character, Take, Vec3 } from "./types";
 
 /** Where one chooses, the sliders begin here. */
 const GUIDANCE = 3.5;
 const STEPS = 8;
 const KEPT = ["legs", "arms", "left arm", "right arm", "torso", "head", "upper body", "lower body", "tail", "wings", "root"];
+
+/** Whether a character may have a part: what not all bodies have is among its joints. */
+function owns(one: Character | null, part: string): boolean {
+  const extra = { tail: "tail", wings: "wing" }[part];
+  return !extra || !one?.body || one.body.joints.some(({ name }) => name.includes(extra));
+}
 
 export const PARTS: Record<string, string> = {
   left_hand: "left hand",
@@ -197,7 +203,7 @@ export function Takes() {
           <summary>change this take</summary>
           <p class="hint">Keep parts of the body, select a stretch of time, or pin poses, hands and feet; the rest is made anew.</p>
           <div class="chips">
-            {KEPT.map((part) => (
+            {KEPT.filter((part) => owns(character.value, part)).map((part) => (
               <button
                 key={part}
                 class="chip"
@@ -207,7 +213,7 @@ export function Takes() {
                   change("", { keep }, { changing: true });
                 }}
               >
-                keep {part}
+                keep {part === "root" ? "its path" : part}
               </button>
             ))}
           </div>

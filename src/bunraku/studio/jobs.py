@@ -183,12 +183,12 @@ class Jobs:
 
     def submit(
         self, kind: str, title: str, params: Mapping[str, object], about: About | None = None, *,
-        passing: bool = False, first: bool = False, overtakes: str | None = None,
+        passing: bool = False, first: bool = False,
     ) -> Job:  # fmt: skip
         """Put a job into the queue; QueueFull where too many wait, FormatError where it cannot be written down. A job
         that is `passing` is not kept on disk and not offered again by the next run; one that goes `first` is done
-        before all that wait. One that `overtakes` a character stops the takes that are being made of it, which are made
-        anew afterwards; so does any one with what is done `LATER`.
+        before all that wait. One that opens a character stops the takes that are being made of it, which are made anew
+        afterwards; so does any one with what is done `LATER`.
         """
         with self._lock:
             if len(self._waiting) + len(self._later) + self._coming >= MOST_WAITING:
@@ -206,12 +206,12 @@ class Jobs:
             self._jobs[job["id"]] = job
             queue = self._later if kind in LATER else self._waiting
             (queue.appendleft if first else queue.append)(job["id"])
-            runs = self._running
-            if runs is not None and kind not in LATER:
-                makes = runs["about"].get("character") if "takes" in runs["about"] else None
-                if runs["kind"] in LATER or (overtakes is not None and makes == overtakes):
-                    self._overtaken = runs["id"]
-                    self._ring(runs["id"])
+            if self._running is not None and kind not in LATER:
+                name, what = self._running["id"], self._running["about"]
+                reopened = "takes" in what and what.get("character") == job["about"].get("opens")
+                if self._running["kind"] in LATER or reopened:
+                    self._overtaken = name
+                    self._ring(name)
             self.changes.tell("job", public(job))
             self._wake.notify_all()
             return job

@@ -103,9 +103,8 @@ class State:
         """
         record = self.change("characters", name, file=file, state="opening", error="")
         params = {"character": name, "file": file, "settings": record["settings"], "again": again}
-        known, about = record["version"] > 0, About(character=name, opens=name)
-        overtakes = name if known else None
-        job = self.jobs.submit("open", f"open {record['name']}", params, about, first=known, overtakes=overtakes)
+        about: About = {"character": name, "opens": name}
+        job = self.jobs.submit("open", f"open {record['name']}", params, about, first=record["version"] > 0)
         return {"character": record, "job": job["id"]}
 
     def find_out(self, name: str) -> None:
