@@ -22,9 +22,9 @@ a person moves a box from the left to the right
 picks up a bottle and puts it on the floor
 picks up an object with two hands and puts it back
 a person lowers the box to the ground
-a person takes a book from low on the right
+a person strokes a kitten
+walks in the dark
 carries a suitcase over his head
-a person walks and carries a box
 picks up a box with one hand
 looks into the valley
 shades his eyes and looks at the sea
@@ -257,7 +257,6 @@ def test_a_thing_that_is_not_let_go_of_makes_one_clause():
     assert len(parse("a person puts a box down, then picks up a cup").clauses) == 2
 
 
-@pytest.mark.xfail(strict=True, reason="the reader takes it for something else")
 def test_between_taking_and_putting_a_thing_is_held():
     (one,) = parse("a person picks up a box, then places it on the shelf").clauses
     assert [station.does for station in one.detail.steps] == ["take", "hold", "put"]
