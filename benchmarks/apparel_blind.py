@@ -1,13 +1,13 @@
 """Bare meshes that move with and without apparel, side by side in a hidden order, for people to judge.
 
-    python benchmarks/apparel_blind.py ARCHIVE --draw                   the list of meshes, by lot: apparel_blind_5.txt
+    python benchmarks/apparel_blind.py ARCHIVE --draw                   the list of meshes, by lot: apparel_blind_6.txt
     python benchmarks/apparel_blind.py ARCHIVE FOLDER --key KEY         a sheet for each, and which is which
     python benchmarks/apparel_blind.py ARCHIVE --key KEY --answers A B  counts answers
 
 ARCHIVE holds MakeHuman's clothes and hair (`makehuman/`), and the files of the list (`files/`, the second and third
 word of their rows with `_` between). A sheet has two rows of moments for A and two for B: one moves with `--apparel
 auto`, the other without. Each mesh moves by one clip of the library, drawn by lot too. `--use first` to
-`fourth` take the lists whose pictures have been looked at since, `apparel_blind.txt` to `apparel_blind_4.txt`.
+`fifth` take the lists whose pictures have been looked at since, `apparel_blind.txt` to `apparel_blind_5.txt`.
 Answers are lines "NUMBER A" or "NUMBER B"; "=" stands for no difference.
 """
 
@@ -117,12 +117,52 @@ AVATARS = (  # models of MikuMikuDance that are in no list above, whose rig is t
     "mmdagent/mmdagent-mirror 79 mei_black.pmd", "tousei-seiso/mmd-viewer1 80 moona_coat.pmx",
     "tousei-seiso/mmd-viewer1 81 tora_ruri.pmx", "newpolaris/Mikudayo 82 tsumi_more_cloth.pmx",
 )  # fmt: skip
+WORN = (  # by their names alone: people of a later set of public files, a rider and a winged figure
+    "sergiman94/CustomCloset 07 sergiman_man/07_sergiman_man.obj", "Magicdog94/MageStone 12 Magicdog_warrior.glb",
+    "nerrevar/model-catalog 18 nerrevar_barack.glb", "raphk99/carved_spirits 19 raphk99_homonculus.glb",
+    "VanderheidePhotography/Asterion 20 Vanderhe_leontocephaline.glb", "drnoir/Papyrus3D-IF-Engine 21 drnoir_lady.glb",
+    "Homehearth/Homehearth 22 Homehear_Knight/22_Homehear_Knight.fbx", "MonterraByte/Timefall 23 Monterra_Player.fbx",
+    "harshchorghe/escape-the-demons-lair 24 harshcho_player2.glb",
+    "mrasimoglu/webgl-game 25 mrasimog_cowboy/25_mrasimog_cowboy.fbx",
+    "tensaix2j/decentraland_aom 26 tensaix2_wizard.glb", "LazyDuchess/Thieving-Hexe 27 LazyDuch_TallWitch.fbx",
+    "timzaykin/TestZombie 28 timzayki_Teddy/28_timzayki_Teddy.fbx", "deg3x/TopDownRPG 29 deg3x_Knight.fbx",
+    "rajat-gupta13/Time-To-Sleep 30 rajat-gu_boy/30_rajat-gu_boy.fbx",
+    "lemonTree42/software-city 31 lemonTre_cs_man.glb", "AttackStudios/claudebox-app 32 AttackSt_boy.glb",
+    "tensaix2j/decentraland_aom 43 tensaix2_hogrider.glb", "tensaix2j/decentraland_aom 44 tensaix2_gargoyle.glb",
+)  # fmt: skip
+FIGURES = (  # every avatar of that set but three that lists above have, whose rig is thrown away
+    "ZeusAFK/PMXViewer 49 ZeusAFK_GUMI_V3/49_ZeusAFK_GUMI_V3.pmx",
+    "IshibashiRyuto/IQByDirectX12 50 Ishibash_reimu_F01/50_Ishibash_reimu_F01.pmd",
+    "IshibashiRyuto/IQByDirectX12 51 Ishibash_649b7e/51_Ishibash_649b7e.pmx",
+    "cryptokoh/vrm-toybox 53 cryptoko_4.vrm", "cryptokoh/vrm-toybox 54 cryptoko_Tubby_Cats_Blue.vrm",
+    "cryptokoh/vrm-toybox 55 cryptoko_9.vrm",
+    "smorce/ChatVRM_zundamon 56 smorce_Zundamon_Human_2023_MMD/56_smorce_Zundamon_Human_2023_MMD.pmx",
+    "molimolily/PMXViewer 57 molimoli_1863e0/57_molimoli_1863e0.pmx",
+    "Hoanganhvu123/vrm_animation 58 Hoanganh_caat.vrm",
+    "Chaika9/PMXLoaderUnity 59 Chaika9_The_Traveler_Female/59_Chaika9_The_Traveler_Female.pmx",
+    "fuuzen/OpenGL-MMD 60 fuuzen_hutao/60_fuuzen_hutao.pmx",
+    "ZeusAFK/PMXViewer hair/01 ZeusAFK_801b76/01_ZeusAFK_801b76.pmx",
+    "IshibashiRyuto/IQByDirectX12 hair/02 Ishibash_TokinoSora_2017/02_Ishibash_TokinoSora_2017.pmx",
+    "IshibashiRyuto/IQByDirectX12 hair/03 Ishibash_003fd0/03_Ishibash_003fd0.pmd",
+    "rickdiazqv/ObjectBehavior hair/04 rickdiaz_b864be/04_rickdiaz_b864be.pmd",
+    "blackspotbear/MMDViewer hair/05 blackspo_Alicia_solid/05_blackspo_Alicia_solid.pmx",
+    "rickdiazqv/ObjectBehavior hair/06 rickdiaz_45decd/06_rickdiaz_45decd.pmx",
+    "bazuka64/ModelViewer64 hair/07 bazuka64_mima/07_bazuka64_mima.pmx",
+    "molimolily/PMXViewer hair/08 molimoli_60e054/08_molimoli_60e054.pmx",
+    "rickdiazqv/ObjectBehavior hair/09 rickdiaz_6d5284/09_rickdiaz_6d5284.pmx",
+    "molimolily/PMXViewer hair/11 molimoli_431787/11_molimoli_431787.pmx",
+    "IshibashiRyuto/IQByDirectX12 hair/12 Ishibash_438e71/12_Ishibash_438e71.pmd",
+    "bazuka64/ModelViewer64 hair/13 bazuka64_meirin/13_bazuka64_meirin.pmx",
+    "molimolily/PMXViewer hair/15 molimoli_789ca3/15_molimoli_789ca3.pmx",
+    "hwubh/MMD_Unity_2022 hair/16 hwubh_d26ad8/16_hwubh_d26ad8.pmx",
+)  # fmt: skip
 LISTS: dict[str, tuple[str, int, int, int, tuple[tuple[int, tuple[str, ...]], ...]]] = {
     "first": ("apparel_blind.txt", 2830, 830_000, 10, ((10, SEEN),)),
     "second": ("apparel_blind_2.txt", 2831, 880_000, 10, ((10, FRESH),)),
     "third": ("apparel_blind_3.txt", 2832, 890_000, 10, ((10, THIRD),)),
     "fourth": ("apparel_blind_4.txt", 2833, 920_000, 8, ((12, PEOPLE), (8, STRIPPED))),
     "fifth": ("apparel_blind_5.txt", 2834, 940_000, 8, ((12, REST), (8, AVATARS))),
+    "sixth": ("apparel_blind_6.txt", 2835, 980_000, 8, ((12, WORN), (8, FIGURES))),
 }
 """Name of each list, what its lot is drawn by, its first seed, how many of the wardrobe and of MakeHuman there are, and
 how many of which files.
@@ -187,7 +227,7 @@ def main() -> None:
     parser.add_argument("--key", type=Path)
     parser.add_argument("--answers", type=Path, nargs="+")
     parser.add_argument("--draw", action="store_true")
-    parser.add_argument("--use", choices=tuple(LISTS), default="fifth")
+    parser.add_argument("--use", choices=tuple(LISTS), default="sixth")
     asked = parser.parse_args()
     if asked.draw:
         draw(asked.archive, asked.use)
