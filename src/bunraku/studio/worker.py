@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from contextlib import suppress
+from multiprocessing import connection
 from multiprocessing.connection import Connection
 from types import FrameType
 from typing import Any
@@ -40,7 +41,7 @@ SECONDS_APART = 0.1
 
 
 AGAIN = 0.02
-"""Seconds after which a task is stopped again where it could not be, as it was importing a module; chosen by eye."""
+"""Seconds after which a task is stopped again where it could not be; chosen by eye."""
 
 
 class Cancelled(BaseException):
@@ -68,8 +69,8 @@ class Stop:
         if not self.running or self.running != self._asked:
             return
         while frame is not None:
-            if frame.f_code.co_filename.startswith("<frozen importlib"):
-                return  # a module that is imported by half cannot be imported again
+            if frame.f_code.co_filename.startswith(("<frozen importlib", str(connection.__file__))):
+                return  # a module that is imported by half cannot be imported again, nor half a message be read
             frame = frame.f_back
         self.running = ""
         raise Cancelled
