@@ -74,7 +74,7 @@ class Pin(Constraint, kind="pin", several=True):
         """The frames in which it is held; OptionError where it is after the end of the clip."""
         first = round(self.time * fps)
         if first >= count:
-            raise OptionError(f"the pin of {self.part} at {self.time:g} s is after the end of the clip, {count / fps:g} s")
+            raise OptionError(f"the pin of {self.part} at {self.time:g} s is after the end at {count / fps:g} s")
         return np.arange(first, min(first + round(self.hold * fps), count - 1) + 1)
 
 
