@@ -12,7 +12,6 @@ import threading
 import time
 from contextlib import suppress
 from multiprocessing import connection
-from multiprocessing.connection import Connection
 from types import FrameType
 from typing import Any
 
@@ -51,7 +50,7 @@ class Cancelled(BaseException):
 class Stop:
     """Stops the task that runs, wherever it is. The bell brings the ids of tasks that are to stop."""
 
-    def __init__(self, bell: Connection) -> None:
+    def __init__(self, bell: connection.Connection) -> None:
         self.running = self._asked = ""
         self._bell = bell
         signal.signal(signal.SIGINT, self._interrupted)  # Ctrl-C is for the server, which ends this process
@@ -76,7 +75,7 @@ class Stop:
         raise Cancelled
 
 
-def work(folder: str, pipe: Connection, bell: Connection) -> None:
+def work(folder: str, pipe: connection.Connection, bell: connection.Connection) -> None:
     """Run tasks until the other end of the pipe is gone. The pipe brings (id, task, arguments) and takes (id, what,
     said); the bell brings the id of a task that is to stop.
     """
