@@ -43,8 +43,8 @@ CONCLUSIONS = {
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 HEAD = """# The papers' tables
 
-TapMo's and MMDMC's tables with our figures, printed by `bunraku evaluate tables`. A cell has the paper's figure / ours and,
-in brackets, the ratios of both to the reference row. Our data differ from the papers', so only these ratios can be
+TapMo's and MMDMC's tables with our figures, printed by `bunraku evaluate tables`. A cell has the paper's figure / ours
+and, in brackets, the ratios of both to the reference row. Our data differ from the papers', so only these ratios can be
 compared. The value after ± is half of a 95 % interval. Rows that were not run, and rows that the papers
 quote from others, are left out. `tools/make_tables_page.py` makes the page; `benchmarks/baselines.md` has the commands
 for the other methods' weights.
