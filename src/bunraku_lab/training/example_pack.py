@@ -276,24 +276,21 @@ def _with_what_it_lacks(
     found = [one for one in _gestures() if one.texts not in known]
     licences = Counter({"Apache-2.0": len(found)})
     lacking = [(IDLE, _idles, settings.idles, base.idles), (BUSY, _busy, settings.busy, base.busy)]
-    if settings.data.exists() and not all(there for *_, there in lacking):
-        clips = _people(settings, lambda stage, done: None)
-        for suffix, people, most, there in lacking:
-            some = [] if there else list(islice(people(clips), most))
-            licences.update(str(clips[one.name.removesuffix(suffix)].get("licence", "unknown")) for one in some)
-            found += some
-    if settings.data.exists():
-        own = {name: entry for name, entry in _people(settings, progress).items() if name.startswith(OWN)}
-        if own:
-            found += [one for one in _of_ones_own(own) if one.texts not in known]
-            licences.update(str(own[one.name].get("licence", "unknown")) for one in found if one.kind == OWN)
-            said = {word.text for entry in own.values() for text in entry["texts"] for word in words_of(text)}
-            write_own_words(settings.out.parent, {word for word in said if not is_known(word)} | own_words())
-    clips = _people(settings, progress) if settings.captions is not None and settings.data.exists() else {}
+    clips = _people(settings, progress) if settings.data.exists() else {}
+    for suffix, people, most, there in lacking:
+        some = [] if there else list(islice(people(clips), most))
+        licences.update(str(clips[one.name.removesuffix(suffix)].get("licence", "unknown")) for one in some)
+        found += some
+    own = {name: entry for name, entry in clips.items() if name.startswith(OWN)}
+    if own:
+        found += [one for one in _of_ones_own(own) if one.texts not in known]
+        licences.update(str(own[one.name].get("licence", "unknown")) for one in found if one.kind == OWN)
+        said = {word.text for entry in own.values() for text in entry["texts"] for word in words_of(text)}
+        write_own_words(settings.out.parent, {word for word in said if not is_known(word)} | own_words())
     names = _names(clips)
     if settings.captions is not None:
         base = _with_asked(base, _asked(settings.captions), names, ranker, encoder)
-    if clips:
+    if settings.captions is not None and clips:
         shown = {one.name for one in base.examples}
         rows = ClipSet(clips, FeatureStatistics.measure([entry["features"] for entry in clips.values()]))
         captured = [
