@@ -115,6 +115,17 @@ def test_chains_follow_the_bones(dressed):
     assert len(ties) >= len(skirts)
 
 
+@pytest.mark.parametrize("factor", [0.002, 100.0])
+def test_chains_are_the_same_in_any_unit(dressed, factor):
+    bare = stripped(dressed)
+    transforms = bare.rig.transforms.copy()
+    transforms[:, :3, 3] *= factor
+    other = replace(bare, vertices=bare.vertices * factor, rig=replace(bare.rig, transforms=transforms))
+    for chain, same in zip(bone_chains(bare), bone_chains(other), strict=True):
+        np.testing.assert_array_equal(same.bones, chain.bones)
+        np.testing.assert_allclose(same.points, factor * chain.points, rtol=1e-4, atol=1e-5 * factor)
+
+
 def test_a_last_bone_that_holds_little_does_not_end_a_chain(dressed):
     """A skirt of a file of others stood still: the last bone of each row held a little of the hem, most of nothing."""
     bare = stripped(dressed)

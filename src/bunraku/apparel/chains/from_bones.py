@@ -16,7 +16,6 @@ import numpy as np
 from bunraku.anatomy.names.bone_names import NO_HANDLE
 from bunraku.anatomy.names.bone_words import apparel_of_name, part_of_name, without_prefix
 from bunraku.apparel.chains.chain import Chain, parameters_beside, parameters_of, with_parameters
-from bunraku.apparel.physics.rig import SHORTEST
 from bunraku.core.animation import bone_order
 from bunraku.core.body.layout import HANDLE_NAMES, HANDLE_PARENTS, HEAD, sided
 from bunraku.core.character import Character, Rig
@@ -46,6 +45,7 @@ AROUND = 0.4  # length of the mean direction from a limb's axis below which a bo
 LEAST = 0.018  # least size of what silent bones hold, over the height
 FORWARD = 0.7  # how far before the head its single bones may hold something, over the distance
 ROW = 4  # silent bones that hang side by side on one bone of the trunk: so many are the hem of a skirt
+SHORTEST = 5e-3  # of a link, over the height, since files have any unit; chosen by eye
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,7 +251,7 @@ def _chain(character: Character, rig: Rig, held: _Held, line: list[int], kind: s
         line = line[:-1]
     bones, starts = [line[0]], [rig.positions[line[0]]]
     for bone in line[1:]:
-        if np.linalg.norm(rig.positions[bone] - starts[-1]) > SHORTEST:
+        if np.linalg.norm(rig.positions[bone] - starts[-1]) > SHORTEST * height:
             bones.append(bone)
             starts.append(rig.positions[bone])
     points = character.vertices.astype(float)
@@ -264,7 +264,7 @@ def _chain(character: Character, rig: Rig, held: _Held, line: list[int], kind: s
         middle = starts[-1] - starts[-2]
     direction = middle / max(float(np.linalg.norm(middle)), 1e-9)
     reach = float(np.percentile(away @ direction, 95))
-    if reach < SHORTEST:
+    if reach < SHORTEST * height:
         direction, reach = np.array([0.0, -1, 0]), 0.02 * height
     nodes = np.array([*starts, starts[-1] + reach * direction])
     width = np.full(len(bones), 0.02 * height)

@@ -32,6 +32,7 @@ BROAD = 0.45  # of a column's width: standard deviation of what it holds
 EASED = 6  # how often shares are averaged along the surface
 HOLDERS = 6  # links that hold a vertex
 SHARED = 0.04  # of what two columns hold: as much as this in common makes them neighbours
+LIGHT = 1e-3  # least gravity by which springs are measured, as a factor: a file may say none; chosen by eye
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,6 +297,6 @@ def _numbers(table: Mapping[str, float]) -> tuple[float | None, float | None, fl
     limit = float(np.clip(np.radians(table["limit"]), NARROW, FREE)) if "limit" in table else None
     ratio = None if limit is None else LOADS - float(np.log10(limit))
     if table.get("stiffness", 0.0) > 0:
-        spring = float(np.log10(table["stiffness"] / max(table.get("gravity", 1.0), 1e-3)))
+        spring = float(np.log10(table["stiffness"] / max(table.get("gravity", 1.0), LIGHT)))
         ratio = spring if ratio is None else max(ratio, spring)
     return ratio, table.get("damping"), limit

@@ -210,20 +210,9 @@ class _Chains:
             )  # fmt: skip
             index = self.add(swings, VRM_RATE * joint.gravity * _unit(joint.gravity_direction))
             back = max(joint.stiffness, 0.0) * VRM_RATE / length * inertia / MMD_METRE**2
-            none = np.zeros(3)
+            none, free = np.zeros(3), np.ones(3)
             self.joints.append(
-                MmdJoint(
-                    swings.name,
-                    (above, index),
-                    head,
-                    np.eye(3),
-                    none,
-                    none,
-                    np.ones(3),
-                    -np.ones(3),
-                    none,
-                    np.full(3, back),
-                )
+                MmdJoint(swings.name, (above, index), head, np.eye(3), none, none, free, -free, none, np.full(3, back))
             )
             above = index
 
