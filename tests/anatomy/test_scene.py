@@ -64,6 +64,8 @@ def test_stray_pieces_and_pieces_that_belong_to_the_body():
         scene.strays.sum() == sum(len(vertices) for vertices, _ in eyes)
         and not scene.strays[: len(body.vertices)].any()
     )
+    hooves = [box([x, low - 0.15 * height, -0.1], [x + 0.1, low - 0.1 * height, 0.1]) for x in (-0.4, 0.3)]
+    assert find_scene(beside(body, *hooves)).characters[0].all()
     halo = ball([0, body.vertices[:, 1].max() + 0.08 * height, 0], 0.06 * height)
     assert find_scene(beside(body, halo)).characters[0].all() and not find_scene(body).lines
 

@@ -28,6 +28,7 @@ WIDER = 1.25  # how much larger the ground is than what stands on it
 TALLEST = 0.6  # the ground is no more than this share of the whole height
 PEER, ALIKE = 0.25, 0.5  # another character's surface and height, over the largest one's, at the least
 STRAY, FAR = 0.02, 0.1  # the surface of a stray piece, over the character's, at the most, and how far away it is
+BELOW, APART = 0.25, 0.5  # how far below a body feet without legs hover, and how far apart they are, over its width
 MOST_PARTS = 3000  # loose parts that are looked at; more are leaves or crumbs of one thing
 
 
@@ -75,11 +76,16 @@ def find_scene(character: Character) -> Scene:
         own = body[group == number]
         (figures if pieces.peers(own, main, areas[number] / areas[order[0]]) else rest).append(own)
     strays = np.zeros(count, bool)
+    feet = pieces.feet(rest, main)
     for own in rest:
         gaps = [pieces.gap(own, figure) for figure in figures]
         nearest = int(np.argmin(gaps))
         small = pieces.areas[own].sum() < STRAY * areas[order[0]]
-        if gaps[nearest] > FAR * height and (small or pieces.high[own, 1].max() < pieces.low[main, 1].min()):
+        if (
+            not feet[own].any()
+            and gaps[nearest] > FAR * height
+            and (small or pieces.high[own, 1].max() < pieces.low[main, 1].min())
+        ):
             strays[own] = True
         else:
             figures[nearest] = np.append(figures[nearest], own)
@@ -202,6 +208,21 @@ class _Pieces:
         apart = bool(((low > top) | (high < floor))[[0, 2]].any())
         stands = abs(low[1] - floor[1]) < FAR * self.height(main)
         return share > PEER and self.height(own) > ALIKE * self.height(main) and apart and bool(stands)
+
+    def feet(self, rest: list[np.ndarray], main: np.ndarray) -> np.ndarray:
+        """The parts of the groups on which a body without legs stands, shape (P,), bool: all that is a little below it,
+        if that is as far apart as feet are.
+        """
+        low, high = self.low[main].min(axis=0), self.high[main].max(axis=0)
+        tops = [float(self.high[own, 1].max()) for own in rest]
+        floor = low[1] - BELOW * self.height(main)
+        below = [own for own, top in zip(rest, tops, strict=True) if floor < top < low[1]]
+        out = np.zeros(len(self.areas), bool)
+        if below:
+            parts = np.concatenate(below)
+            wide = (self.high[parts].max(axis=0) - self.low[parts].min(axis=0)) / np.maximum(high - low, 1e-9)
+            out[parts] = len(parts) > 1 and wide[[0, 2]].max() > APART
+        return out
 
     def gap(self, own: np.ndarray, other: np.ndarray) -> float:
         """Distance between the boxes of two groups of parts, at the least."""

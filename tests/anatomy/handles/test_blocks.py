@@ -57,6 +57,17 @@ COW = {
     "leg-back-right": ((-0.3, 0, -0.65), (-0.1, 0.5, -0.45)),
     "tail": ((-0.04, 0.85, -1.1), (0.04, 0.93, -0.7)),
 }
+HARE = {
+    "Body": ((-0.3, 0.1, -0.7), (0.3, 0.6, 0.6)),
+    "Belly": ((-0.25, 0.05, -0.6), (0.25, 0.2, 0.5)),
+    "Head": ((-0.2, 0.5, 0.5), (0.2, 0.9, 0.9)),
+    "Ear_L": ((0.05, 0.85, 0.5), (0.15, 1.4, 0.6)),
+    "Ear_R": ((-0.15, 0.85, 0.5), (-0.05, 1.4, 0.6)),
+    "Leg_FL": ((0.1, 0, 0.35), (0.25, 0.15, 0.5)),
+    "Leg_FR": ((-0.25, 0, 0.35), (-0.1, 0.15, 0.5)),
+    "Leg_BL": ((0.1, 0, -0.65), (0.25, 0.15, -0.45)),
+    "Leg_BR": ((-0.25, 0, -0.65), (-0.1, 0.15, -0.45)),
+}
 PARTS = {
     "torso": "spine2", "head": "head", "arm-left": "left_shoulder", "arm-right": "right_shoulder",
     "leg-left": "left_hip", "leg-right": "right_hip", "Chest": "spine3", "Hips": "pelvis", "Head": "head",
@@ -64,16 +75,18 @@ PARTS = {
     "LowerArm_R": "right_elbow", "Hand_R": "right_wrist", "Thigh_L": "left_hip", "Shin_L": "left_knee",
     "Foot_L": "left_ankle", "Thigh_R": "right_hip", "Shin_R": "right_knee", "Foot_R": "right_ankle", "body": "pelvis",
     "leg-front-left": "left_shoulder", "leg-front-right": "right_shoulder", "leg-back-left": "left_hip",
-    "leg-back-right": "right_hip", "tail": "tail",
+    "leg-back-right": "right_hip", "tail": "tail", "Body": "pelvis", "Belly": "pelvis", "Ear_L": "head",
+    "Ear_R": "head", "Leg_FL": "left_shoulder", "Leg_FR": "right_shoulder", "Leg_BL": "left_hip", "Leg_BR": "right_hip",
 }  # fmt: skip
 ABOVE = {
     "head": "torso", "arm-left": "torso", "arm-right": "torso", "leg-left": "torso", "leg-right": "torso",
     "Head": "Chest", "Hips": "Chest", "UpperArm_L": "Chest", "LowerArm_L": "UpperArm_L", "Hand_L": "LowerArm_L",
     "UpperArm_R": "Chest", "LowerArm_R": "UpperArm_R", "Hand_R": "LowerArm_R", "Thigh_L": "Hips", "Shin_L": "Thigh_L",
     "Foot_L": "Shin_L", "Thigh_R": "Hips", "Shin_R": "Thigh_R", "Foot_R": "Shin_R", "leg-front-left": "body",
-    "leg-front-right": "body", "leg-back-left": "body", "leg-back-right": "body", "tail": "body",
+    "leg-front-right": "body", "leg-back-left": "body", "leg-back-right": "body", "tail": "body", "Belly": "Body",
+    "Ear_L": "Head", "Ear_R": "Head", "Leg_FL": "Body", "Leg_FR": "Body", "Leg_BL": "Body", "Leg_BR": "Body",
 }  # fmt: skip
-FIGURES = {"man": MAN, "jointed": JOINTED, "cow": COW}
+FIGURES = {"man": MAN, "jointed": JOINTED, "cow": COW, "hare": HARE}
 TRUNK = np.eye(HANDLE_COUNT, dtype=np.float32)[HANDLE_NAMES.index("spine2")]
 
 
@@ -99,7 +112,7 @@ def handles_of(character):
 
 
 def joints_of(order, boxes):
-    pairs = ABOVE | ({"head": "body"} if "body" in boxes else {})
+    pairs = ABOVE | ({"head": "body"} if "body" in boxes else {}) | ({"Head": "Body"} if "Body" in boxes else {})
     return [(order.index(name), order.index(pairs[name])) for name in order if name in pairs]
 
 
@@ -189,6 +202,22 @@ def test_blocks_that_bend_are_not_rigid(tmp_path):
     weights[legs, HANDLE_NAMES.index("left_knee")] = weights[legs, HANDLE_NAMES.index("right_knee")] = 0.5
     assert rigid_handles(character, whole) is not None
     assert rigid_handles(character, weights) is None
+
+
+def test_a_body_over_short_legs_does_not_bend_whatever_is_seen_in_it(tmp_path):
+    character, blocks, order = figure(tmp_path, HARE, named=False)
+    body = blocks.label == order.index("Body")
+    weights = np.tile(TRUNK, (len(character.vertices), 1))
+    weights[body] = 0
+    weights[np.ix_(body, [HANDLE_NAMES.index(f"{side}_knee") for side in ("left", "right")])] = 0.5
+    assert rigid_handles(character, weights) is not None
+
+
+def test_what_touches_head_and_trunk_goes_with_the_head_if_its_name_says_so(tmp_path):
+    boxes = HARE | {"Ear_L": ((0.05, 0.55, 0.45), (0.15, 1.4, 0.6))}
+    character, blocks, order = figure(tmp_path, boxes)
+    ear = handles_of(character).weights[blocks.label == order.index("Ear_L")]
+    assert (ear.argmax(axis=1) == HANDLE_NAMES.index("head")).all()
 
 
 def test_written_handles_stay_rigid(tmp_path):

@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass
 from functools import cached_property
 from heapq import heappop, heappush
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -335,6 +336,10 @@ class _Tree:
             return 0.1
         first, second = self.words[one][0], self.words[other][0]
         apart = "trunk" not in (first, second) and bool(first and second) and "carried" not in (first, second)
+        apart |= any(
+            self.words[own][1] in ("face", "head_top") and self.words[on][0] not in ("", "carried", "head")
+            for own, on in ((one, other), (other, one))
+        )
         across = self.sides[one] * self.sides[other] < 0
         gap = float(self.shapes.gaps[one, other])
         return 1 + gap / TOUCH + 10 * (gap > TOUCH) + 10 * (across or (apart and first != second))
@@ -371,7 +376,8 @@ class _Tree:
             for child in np.flatnonzero(self.parents == member).tolist():
                 feet = {int(self.sides[other]) for other in self.below(child)[1:] if shapes.low[other, 1] < floor}
                 limb = self.words[child][0]
-                if limb == "trunk" or (limb == "" and {-1, 1} <= feet):
+                shell = not self.sides[child] and _shared(shapes, member, child).min() > COAT
+                if limb == "trunk" or (limb == "" and ({-1, 1} <= feet or shell)):
                     out.append(child)
         return out
 
@@ -435,20 +441,29 @@ def _paired(branches: list[_Branch], shapes: BlockShapes) -> list[_Branch] | Non
         if limb == "arm" and four:
             continue
         groups = [[one for one in paired if one.side == side] for side in sides] if limb in _LIMBS else [paired]
-        out += [max(group, key=size) for group in groups if group]
+        out += [max(group, key=lambda branch: (branch.named, size(branch))) for group in groups if group]
     arms = sum(branch.limb == "arm" for branch in out)
     return out if four or len(legs[1]) == 1 or arms == 2 else None
 
 
 def _fill_trunk(handles: np.ndarray, trunk: list[int], shapes: BlockShapes, upright: bool) -> None:
-    """The trunk: one block turns as its middle does where it stands upright, several from the pelvis on."""
-    if len(trunk) == 1:
-        handles[trunk[0]] = _H["spine2"] if upright else 0
-        return
-    ordered = sorted(trunk, key=lambda block: float(shapes.centers[block, 1 if upright else 2]))
-    for rank, block in enumerate(ordered):
-        share = rank / (len(ordered) - 1)
-        handles[block] = (0, _H["spine1"], _H["spine2"], _H["spine3"])[round(3 * share)]
+    """The trunk from the pelvis on, blocks that lie along one another as one; what is all one turns as the middle of a
+    body does that stands upright.
+    """
+    axis, along = (1 if upright else 2), (0, _H["spine1"], _H["spine2"], _H["spine3"])
+    ordered = sorted(trunk, key=lambda block: float(shapes.centers[block, axis]))
+    segments = [0]
+    for before, block in pairwise(ordered):
+        segments.append(segments[-1] + int(_shared(shapes, before, block)[axis] < COAT))
+    for block, segment in zip(ordered, segments, strict=True):
+        share = segment / segments[-1] if segments[-1] else 2 / 3 * upright
+        handles[block] = along[round(3 * share)]
+
+
+def _shared(shapes: BlockShapes, block: int, other: int) -> np.ndarray:
+    """How much of the shorter side the boxes of two blocks have in common along each axis, shape (3,)."""
+    low, high = shapes.low[[block, other]], shapes.high[[block, other]]
+    return np.asarray((high.min(axis=0) - low.max(axis=0)) / np.maximum((high - low).min(axis=0), 1e-9))
 
 
 def _fill_limb(handles: np.ndarray, branch: _Branch, tree: _Tree) -> None:
@@ -509,10 +524,11 @@ def _chain(branch: _Branch, tree: _Tree) -> list[int]:
 # Chosen by eye on the figures of benchmarks/rigid_blocks.md, and on trousers, which are not such figures.
 BENDS = 0.1  # share of a surface that knees and elbows of either side hold, from which on it bends
 EVEN = 0.5  # a leg may hold a little of the other knee that it touches: less than this, over its own
-_OUTER = {
-    side: [HANDLE_NAMES.index(f"{side}_{part}") for part in ("knee", "ankle", "foot", "elbow", "wrist", "fingers")]
-    for side in ("left", "right")
-}
+FORK = (0.15, 0.2)  # a block is forked that has nothing in this share of its width in the lowest share of its height
+_OUTER = [
+    [[HANDLE_NAMES.index(f"{side}_{part}") for part in parts] for side in ("left", "right")]
+    for parts in (("elbow", "wrist", "fingers"), ("knee", "ankle", "foot"))
+]
 
 
 def rigid_handles(character: Character, weights: np.ndarray) -> Handles | None:
@@ -528,7 +544,7 @@ def rigid_handles(character: Character, weights: np.ndarray) -> Handles | None:
         return None
     shapes = BlockShapes.of(character, blocks)
     parts = block_parts(shapes)
-    if parts is None or (not parts.named and _bends(character, blocks, weights)):
+    if parts is None or (not parts.named and _bends(character, shapes, parts, weights)):
         return None
     full = np.zeros((len(character.vertices), HANDLE_COUNT), np.float32)
     label = np.where(blocks.label >= 0, blocks.label, parts.trunk[0])
@@ -536,14 +552,22 @@ def rigid_handles(character: Character, weights: np.ndarray) -> Handles | None:
     return Handles(_positions(shapes, parts), full, rigid=True)
 
 
-def _bends(character: Character, blocks: Blocks, weights: np.ndarray) -> bool:
-    """Whether the predictor sees knees and elbows of both sides in one block."""
-    mass = weights * character.areas[:, None]
-    for block in range(len(blocks.names)):
-        own = mass[blocks.label == block].sum(axis=0)
-        less, more = sorted(float(own[parts].sum()) for parts in _OUTER.values())
-        if less > max(BENDS * float(own.sum()), EVEN * more):
-            return True
+def _bends(character: Character, shapes: BlockShapes, parts: BlockParts, weights: np.ndarray) -> bool:
+    """Whether the predictor sees knees or elbows of both sides in one block. Where other blocks are legs, it sees legs
+    where the block is forked: a belly over short legs is none.
+    """
+    mass, label = weights * character.areas[:, None], shapes.blocks.label
+    stands = bool(np.isin(parts.handles, [_H["left_hip"], _H["right_hip"]]).any())
+    for block, points in enumerate(shapes.points):
+        own = mass[label == block].sum(axis=0)
+        aside = np.abs(points[:, 0] - shapes.centers[block, 0]) / max(float(np.ptp(points[:, 0])), 1e-9)
+        low = points[:, 1] < shapes.low[block, 1] + FORK[0] * np.ptp(points[:, 1])
+        forked = aside[low].min() > FORK[1] / 2
+        for limb, sides in enumerate(_OUTER):
+            less, more = sorted(float(own[side].sum()) for side in sides)
+            legs = stands and (limb == 1 or not parts.upright)
+            if less > max(BENDS * float(own.sum()), EVEN * more) and (forked or not legs):
+                return True
     return False
 
 

@@ -55,6 +55,9 @@ _LIMB = re.sub(r"[\^$]", "", re.sub(r"\((?!\?)", "(?:", _LIMB))  # whole words, 
 # the rest is wholly the word of a limb, since "lower" and "finger" have such letters too.
 _GLUED = re.compile(f"^(?!(?:{_LIMB})$)(?:(left|right)(.+)|([lr])({_LIMB})|({_LIMB})([lr]))$")
 
+# The corner of a leg in two letters, front or back and left or right.
+_CORNERS = {where[0] + side: f"{where} {side}" for where in ("front", "back", "hind", "rear") for side in ("l", "r")}
+
 # The standard bones of MikuMikuDance; a leading 左 or 右 is the side.
 _MMD = {
     "センター": "none", "グルーブ": "none", "全ての親": "none", "操作中心": "none", "腰": "hips", "下半身": "hips",
@@ -132,8 +135,9 @@ def part_of_name(name: str) -> tuple[str, int, int, bool]:
         return kind, side, 0, False
     plain = re.sub(r"\.\d+$", "", plain)  # Blender's copies
     words = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+", plain)
+    words = " ".join(_CORNERS.get(word.lower(), word.lower()) for word in words).split()
     side, number, target, kept = 0, 0, False, []
-    for word in (part for whole in words for part in _GLUED.split(whole.lower()) if part):
+    for word in (part for whole in words for part in _GLUED.split(whole) if part):
         if word in ("l", "left", "r", "right"):
             side = 1 if word.startswith("l") else -1
         elif word.isdigit():
