@@ -142,6 +142,15 @@ def test_steps_on_the_spot_get_a_body_ahead_by_what_its_feet_go_back(monkeypatch
     assert creature_motion(turned, dog.anatomy, seed=0) is None
 
 
+def test_feet_that_drag_forward_carry_no_body_backward(monkeypatch, dog):
+    """On a body unlike the animal's the feet may be low where the animal lifts them."""
+    dragging = stepping().take(slice(None, None, -1))
+    clip = CreatureClip("wolf", "walk", "four legs", (0.0, 0.0), 21, packed_clip(dragging, np.zeros(21)))
+    monkeypatch.setattr(creature_clips, "shipped_clips", lambda: (clip,))
+    moved = next(Animator.shipped().each(dog, [Request(parse("a dog walks forward", 4.0))])).vertices()
+    assert (moved[-1] - moved[0])[:, 2].mean() > -0.05 * dog.character.height
+
+
 def test_the_clips_of_a_file_show_what_its_creature_does(tmp_path):
     dog = make_sample("dog", rigged=True)
     meal = next(Animator.shipped().each(dog, [Request(parse("a dog eats", 3.0))]))

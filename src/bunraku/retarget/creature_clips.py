@@ -358,14 +358,14 @@ def _travelled(motion: HandleMotion, anatomy: Anatomy) -> HandleMotion:
     """
     body = anatomy.unturned
     world = posed(motion, body).transforms(body.handles.positions)
-    speeds = []
+    speeds: list[float] = []
     for leg in body.legs:
         step, height = foot_motion(sole_points(leg, body, world), body.floor, Feet.roll * leg.length)
-        stands = height < height.min() + STANDS * np.ptp(height)
-        speeds.append(-step[stands, 1])
-    ahead = float(np.median(np.concatenate(speeds))) / body.scale if speeds else 0.0
+        # On a body unlike the animal's a foot may drag as it goes forward, which is no stand.
+        stands = (height < height.min() + STANDS * np.ptp(height)) & (step[:, 1] < 0)
+        speeds.extend(-step[stands, 1])
     path = motion.root_translation.astype(np.float64)
-    path[:, 2] += max(ahead, 0.0) * np.arange(len(motion))
+    path[:, 2] += (float(np.median(speeds)) / body.scale if speeds else 0.0) * np.arange(len(motion))
     return replace(motion, root_translation=path)
 
 

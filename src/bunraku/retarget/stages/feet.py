@@ -218,7 +218,10 @@ class Feet(Stage, name="feet"):
             )  # less is a capture's noise
             drift = away[1:] - np.cumsum(anatomy.scale * slid, axis=0)
             away -= _lasting(np.concatenate([away[:1], drift]), self.stride * motion.fps)
-            missing = np.diff(away, axis=0)
+        way = (path[-1] - path[0])[[0, 2]]
+        if not held and way @ (way + away[-1]) < 0:  # feet that would turn the way round do not tell where it leads
+            away -= _lasting(away, self.stride * motion.fps)
+        missing = np.diff(away, axis=0)
         path[:, [0, 2]] += away
         motion = replace(motion, root_translation=path)
         shifts = np.zeros((len(motion), len(legs), 3))
