@@ -167,6 +167,22 @@ def test_a_thumb_named_for_the_wrong_side_follows_its_arm():
     check(read(text, positions=positions), "Thumb.R=left_fingers Thumb.L=right_fingers UpperArm.L=left_shoulder")
 
 
+def test_what_says_that_it_is_a_bone_and_corners_in_two_letters():
+    said = {
+        "Arm Bone.R": ("shoulder", -1), "Hand Bone.L": ("wrist", 1), "Head Bone.C": ("head", 0),
+        "Leg_FL": ("arm_leg", 1), "LegBR": ("leg", -1), "RR_Foot": ("foot", -1),
+    }  # fmt: skip
+    assert {name: part_of_name(name)[:2] for name in said} == said
+
+
+def test_a_bone_that_is_but_a_knee_is_no_segment_of_a_leg():
+    names, _ = rig("Hips Thigh.L Knee.L Shin.L Foot.L Chest<Hips")
+    heights = {"Hips": 1.0, "Thigh.L": 0.9, "Knee.L": 0.5, "Shin.L": 0.45, "Foot.L": 0.05, "Chest": 1.3}
+    positions = np.array([[0.1 * name.endswith(".L"), heights[name], 0] for name in names])
+    found = read("Hips Thigh.L Knee.L Shin.L Foot.L Chest<Hips", positions=positions)
+    check(found, "Thigh.L=left_hip Knee.L=left_hip Shin.L=left_knee Foot.L=left_ankle")
+
+
 def test_hands_without_a_hand_bone():
     check(
         read("Hips Torso UpperArm.L LowerArm.L Index1.L Index2.L Thumb1.L<LowerArm.L"),

@@ -395,6 +395,22 @@ def test_a_bone_that_bears_legs_is_their_pelvis_whatever_its_skin_says():
     assert (parts.parts[known == pelvis] == pelvis).all() and (parts.parts[known == hip] == hip).all()
 
 
+def test_a_forearm_that_is_taken_for_a_leg_is_of_its_arm():
+    """Hands that hang beside the hips were taken for legs on one side, and came off."""
+    person = make_sample("person", rigged=True)
+    known, handles = handle_of_joints(person.rig.names, person.rig.parents), rig_handles(person)
+    for sides in (("left",), ("left", "right")):
+        weights = handles.weights.copy()
+        for side in sides:
+            elbow, hip = (HANDLE_NAMES.index(f"{side}_{part}") for part in ("elbow", "hip"))
+            weights[:, hip] += weights[:, elbow]
+            weights[:, elbow] = 0
+        body = Anatomy.of(replace(person, rig=None), handles)
+        parts = RigParts.by_skin(replace(body, character=person, handles=replace(handles, weights=weights)))
+        assert parts is not None
+        assert (parts.parts[known == elbow] == elbow).all()
+
+
 def spider(legs=4, bent=0.3) -> Character:
     """A ball and legs of two bones on each side, on a skeleton without names: bones are boxes of one bone each; knees
     are higher and tips lower by `bent`.

@@ -12,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_matrix
+from scipy.spatial import cKDTree
 
 from bunraku.anatomy.anatomy import Anatomy
 from bunraku.anatomy.handles.limbs import ARMS, LEGS, SIDES
@@ -20,10 +21,10 @@ from bunraku.anatomy.names.bone_names import NO_HANDLE, handle_of_joints, limb_p
 from bunraku.anatomy.names.bone_words import part_of_name, without_prefix
 from bunraku.anatomy.names.skeleton_map import joints_by_structure, mmd_centre, mmd_skeleton_map
 from bunraku.anatomy.rest_pose import flat_feet, rest_rotations, upright
-from bunraku.anatomy.rig_limbs import four_legs_of_rig, legs_of_rig
+from bunraku.anatomy.rig_limbs import STUB, four_legs_of_rig, legs_of_rig
 from bunraku.core.animation import bone_order
 from bunraku.core.avatars import MmdModel, mmd_model, vrm_model
-from bunraku.core.body.layout import BESIDE, HANDLE_COUNT, HANDLE_NAMES, HANDLE_PARENTS, WRISTS
+from bunraku.core.body.layout import BESIDE, HANDLE_COUNT, HANDLE_MIRROR, HANDLE_NAMES, HANDLE_PARENTS, WRISTS
 from bunraku.core.body.reference import handle_positions, reference_body
 from bunraku.core.character import Character, Handles
 from bunraku.core.geometry.rotations import rotation_between
@@ -49,6 +50,7 @@ OWN_BONES = 0.3
 """Share of a limb on bones that hold more of it than of all else. Measured on 40 animals: some fish bend in their last
 third, and rigs without legs hold none of those of the mesh.
 """
+MIRRORED = 0.05  # how far the skin of a bone is from the mirror image of another's, over the height; chosen by eye
 NEAR_HEAD = 0.1
 """A joint is at the head of its bone where that is so near, over the height. Chosen by eye."""
 LEVEL, KNEE_UP = 0.2, (0.7, -1.2)
@@ -125,7 +127,9 @@ class RigParts:
         shared = skin @ (found.weights * areas[:, None])
         mass = shared.sum(axis=1)
         parents = _followed(character)
-        parts = _as_borne(np.where(mass > 0, shared.argmax(axis=1), NO_HANDLE), parents, LEGS + body.further)
+        even = found.roles is None  # else some handles play other parts than their own
+        best = (_even(character, skin, shared) if even else shared).argmax(axis=1)
+        parts = _as_borne(np.where(mass > 0, best, NO_HANDLE), parents, LEGS + body.further, rig.positions)
         if not _moves_all(body, shared, parts):
             return None
         weights = np.asarray(skin.T @ np.eye(HANDLE_COUNT + 1, dtype=np.float32)[parts][:, :HANDLE_COUNT])
@@ -242,9 +246,25 @@ def _lowered(turns: np.ndarray, handles: Handles, joints: Joints, legs: list[lis
     return out
 
 
-def _as_borne(parts: np.ndarray, parents: np.ndarray, legs: list[list[int]]) -> np.ndarray:
+def _even(character: Character, skin: csr_matrix, shared: np.ndarray) -> np.ndarray:
+    """What the bones of a character that faces +Z share with the handles (J, 30), each together with what the bone on
+    its other side shares with the mirrored ones, so that both sides are read alike. `skin` (J, V) is what they hold.
+    """
+    held = np.flatnonzero(skin @ character.areas > 0)
+    middles = (skin[held] @ (character.vertices * character.areas[:, None])) / (skin[held] @ character.areas)[:, None]
+    across = 2 * float(np.average(character.vertices[:, 0], weights=character.areas))
+    far, there = cKDTree(middles).query([across, 0, 0] + [-1, 1, 1] * middles)
+    paired = (there[there] == np.arange(len(held))) & (far < MIRRORED * character.height)
+    out = shared.copy()
+    out[held[paired]] += shared[np.ix_(held[there[paired]], HANDLE_MIRROR)]
+    return out
+
+
+def _as_borne(parts: np.ndarray, parents: np.ndarray, legs: list[list[int]], heads: np.ndarray) -> np.ndarray:
     """Parts of bones, -1 for none, shape (J,), as the tree has them where their skin says otherwise: what bears legs of
-    both sides is the pelvis, unless it is all that there is of the trunk, and what bears a leg alone is of that leg.
+    both sides is the pelvis, unless it is all that there is of the trunk, and so is what begins in the middle and bears
+    a thigh; other bones that bear a leg alone are of that leg, and what is between two parts of a limb is of that limb.
+    `heads` says where bones begin [m], shape (J, 3).
     """
     out, order = parts.copy(), bone_order(parents)
     free = np.setdiff1d((*_TRUNK, *_TAIL), [handle for leg in legs for handle in leg])
@@ -255,6 +275,18 @@ def _as_borne(parts: np.ndarray, parents: np.ndarray, legs: list[list[int]]) -> 
             out[bone] = leg[max(min((leg.index(part) for part in joints if part in leg), default=1) - 1, 0)]
         if parents[bone] >= 0:
             borne[parents[bone]] |= borne[bone]
+    limbs, aside = (
+        {part: limb for limb in [*ARMS, *legs] for part in limb},
+        np.abs(heads[:, 0] - np.median(heads[:, 0])),
+    )
+    for bone in order:
+        limb = limbs.get(int(out[parents[bone]]), []) if parents[bone] >= 0 else []
+        below = [limb.index(part) for part in out[parents == bone] if part in limb]
+        if below and out[bone] not in limb:
+            out[bone] = limb[min(limb.index(out[parents[bone]]) + 1, *below)]
+        thighs = [child for child in np.flatnonzero(parents == bone) if out[child] == out[bone] and out[bone] in _HIPS]
+        if thighs and aside[bone] < STUB * aside[thighs[0]]:
+            out[bone] = 0
     bearers = [bone for bone in order if len(borne[bone]) > 1 and parts[bone] != NO_HANDLE]
     trunk = [bone for bone in order if parts[bone] in free and parts[bone] in _TRUNK]
     if bearers and 0 not in parts[bearers] and (bearers[-1] not in trunk or len(trunk) > 1):
@@ -334,6 +366,9 @@ def _shaped_parts(character: Character) -> np.ndarray | None:
     out = np.full(len(rig.names), NO_HANDLE)
     for name, joint in joints.items():
         out[order[joint]] = HANDLE_NAMES.index(name)
+    left, right = (np.isin(out, _both("hip", "knee", "shoulder", "elbow")[side::2]) for side in (0, 1))
+    if left.any() and right.any() and rig.positions[left, 0].mean() < rig.positions[right, 0].mean():
+        out[out != NO_HANDLE] = np.array(HANDLE_MIRROR)[out[out != NO_HANDLE]]
     return out if joints else None
 
 

@@ -22,6 +22,9 @@ _H = dict(zip(HANDLE_NAMES, range(len(HANDLE_NAMES)), strict=True))
 _LIMB_KINDS = ("shoulder", "elbow", "leg")
 
 
+KNEE = 0.25  # a bone that is shorter than this share of its leg's longest is no segment; by eye on a frog
+
+
 class _Tree:
     """The joints with what their names say, and the walks over the hierarchy that the rules below need."""
 
@@ -231,11 +234,20 @@ def _legs(tree: _Tree, out: np.ndarray) -> None:
 
 def _segments(tree: _Tree, chain: tuple[int, ...]) -> list[int]:
     """The first bone of each segment of a leg: `thigh.L.001` below `thigh.L` is its second half, unless all bones of
-    the leg are called alike.
+    the leg are called alike, and a bone that is but a knee is none.
     """
     copies = [tree.copies[joint] for joint in chain]
     firsts = [joint for rank, joint in enumerate(chain) if rank == 0 or copies[rank] != copies[rank - 1]]
-    return firsts if len(firsts) > 1 else list(chain)
+    firsts = firsts if len(firsts) > 1 else list(chain)
+    if tree.positions is None or len(firsts) < 3:
+        return firsts
+    ends = tree.positions[[*firsts, *(tree.children[chain[-1]] or chain)[:1]]]
+    length = np.linalg.norm(np.diff(ends, axis=0), axis=1)
+    return [
+        joint
+        for joint, far in zip(firsts, length, strict=True)
+        if far > KNEE * length.max() or joint in (chain[0], chain[-1])
+    ]
 
 
 def _flippers(tree: _Tree, out: np.ndarray) -> None:

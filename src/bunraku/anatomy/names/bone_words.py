@@ -146,6 +146,7 @@ def part_of_name(name: str) -> tuple[str, int, int, bool]:
             target = True
         elif word not in _DROP:
             kept.append(word)
+    kept = [word for word in kept if word != "bone"] or kept
     joined = "".join(kept)
     if joined == "head" and number >= 2:
         return "head_top", side, number, target
