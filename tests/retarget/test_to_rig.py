@@ -453,9 +453,10 @@ def test_many_legs_are_known_by_the_tree_of_their_bones():
     assert legs_of_rig(spider(2)) is None and legs_of_rig(make_sample("dog", rigged=True)) is None
 
 
-def nameless(kind: str, anchors: bool = False) -> Character:
+def nameless(kind: str, anchors: bool = False, blades: float = 0.0) -> Character:
     """A rigged sample whose bones are called by numbers; where `anchors`, each thigh hangs on a further bone that
-    begins in the middle of the body and holds nothing, as in rigs of horses.
+    begins in the middle of the body and holds nothing, as in rigs of horses. Upper arms hang on `blades`, which begin
+    so far over and behind them [m], and hold a third of their skin.
     """
     character = make_sample(kind, rigged=True)
     rig = character.rig
@@ -464,14 +465,23 @@ def nameless(kind: str, anchors: bool = False) -> Character:
         transforms.append(transforms[thigh] * np.where(np.arange(16).reshape(4, 4) == 3, 0, 1))
         parents.append(parents[thigh])
         parents[thigh] = len(parents) - 1
+    indices = rig.indices.copy()
+    for arm in [rig.names.index(f"{side}Arm") for side in ("Left", "Right")] if blades else []:
+        transforms.append(
+            transforms[arm] + blades * np.array([[0, 0, 0, 0], [0, 0, 0, 1], [0, 0, 0, -1], [0, 0, 0, 0]])
+        )
+        parents.append(parents[arm])
+        parents[arm] = len(parents) - 1
+        indices[::3][indices[::3] == arm] = parents[arm]
     names = tuple(f"b{number}" for number in range(len(parents)))
     return replace(
-        character, rig=Rig(names, np.array(parents), np.stack(transforms), rig.indices, rig.weights), source=None
+        character, rig=Rig(names, np.array(parents), np.stack(transforms), indices, rig.weights), source=None
     )
 
 
-def test_four_legs_are_known_by_the_skin_of_their_bones():
-    dog = nameless("dog", anchors=True)
+@pytest.mark.parametrize("blades", [0.0, 0.15])
+def test_four_legs_are_known_by_the_skin_of_their_bones(blades):
+    dog = nameless("dog", anchors=True, blades=blades)
     plan = understood_rig(dog).anatomy.plan
     assert plan.kind == "four legs" and plan.tail and (plan.hind, plan.front) == (2, 2)
     parts = four_legs_of_rig(dog, np.full(len(dog.rig.names), -1))

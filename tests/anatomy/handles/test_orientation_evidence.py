@@ -2,16 +2,15 @@
 
 import numpy as np
 import pytest
-from scipy.spatial import ConvexHull
 
 from bunraku.anatomy.handles.orientation_evidence import (
     ColorEvidence,
     Combination,
     GroundEvidence,
     MirrorEvidence,
+    NameEvidence,
     RestEvidence,
     ShapeView,
-    _carried,
     gathered,
     has_rule,
     kind_weights,
@@ -141,18 +140,18 @@ def test_bones_are_a_witness_like_others():
     assert axis_vector("-z")[2] == -1
 
 
-def test_a_hull_in_the_plane_is_that_of_qhull():
-    random = np.random.default_rng(0)
-    for size in (3, 5, 40, 400):
-        points, middle = random.normal(0, 0.2, (size, 2)), random.normal(0, 0.05, 2)
-        hull = ConvexHull(points)
-        inside, area = _carried(points, middle)
-        assert abs(inside + float((hull.equations[:, :2] @ middle + hull.equations[:, 2]).max())) < 1e-9
-        assert area == pytest.approx(hull.volume, rel=1e-9)
-    square = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1], [0.5, 0.5]])
-    assert _carried(square, np.array([0.25, 0.5])) == pytest.approx((0.25, 1.0))
-    assert _carried(square, np.array([2.0, 0.5])) == pytest.approx((-1.0, 1.0))
-    assert _carried(square[:2], np.zeros(2)) == _carried(square * [1, 0], np.zeros(2)) == (-1.0, 0.0)
+@pytest.mark.parametrize("axes", ORIENTATIONS[::5])
+def test_what_is_named_a_nose_is_ahead_of_its_head_and_a_tail_behind(axes):
+    turn = upright_rotation(*axes)
+    places = {"Head": (0, 0.8, 0), "Nose": (0, 0.8, 0.2), "tail.001": (0, 0.3, -0.3), "Cube": (0, 0.5, 0)}
+    same_up = [number for number, (up, _) in enumerate(ORIENTATIONS) if up == axes[0]]
+    for names in (["Head", "Nose"], ["tail.001"], list(places), ["Cube"]):
+        named = names, np.array([places[name] for name in names]) @ turn
+        told = NameEvidence().log_odds(ShapeView(body() @ turn, named=named))[same_up]
+        if names == ["Cube"]:
+            assert np.ptp(told) == 0
+        else:
+            assert ORIENTATIONS[same_up[int(told.argmax())]] == axes and np.sort(told)[-2] < told.max() - 3
 
 
 UP = AXES.index("+y")
@@ -212,7 +211,7 @@ def test_no_witness_is_believed_beyond_its_doubt():
     sure = np.zeros(24)
     sure[5] = 1
     ratio = combined(sure).max() / combined(sure).min()
-    assert ratio == pytest.approx(((0.95 + 0.05 / 24) / (0.05 / 24)) ** (1 / Combination.calibration))
+    assert ratio == pytest.approx(((0.95 + 0.05 / 24) / (0.05 / 24)) ** Combination.network_counts)
     logs = evidence_of_file(body())
     assert np.ptp(logs) <= np.log(195) + np.log(298) + 1e-6
 
@@ -247,7 +246,7 @@ def test_a_lying_glb_is_turned_if_the_mesh_says_so():
     points = body() @ upright_rotation("+z", "-y").astype(np.float32)
     middle = points - (points.min(axis=0) + points.max(axis=0)) / 2
     assert combined(seen, points, kind_weights(".glb"))[lying] > 0.95
-    assert combined(seen, middle, kind_weights(".obj"))[lying] > 0.85
+    assert combined(seen, middle, kind_weights(".obj"))[lying] > 0.5  # few files lie
     doubtful = np.full(24, 0.8 / 23)
     doubtful[lying] = 0.2
     assert combined(doubtful, None, kind_weights(".glb")).argmax() == ORIENTATIONS.index(("+y", "+z"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -10,11 +11,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bunraku.anatomy.handles.orientation_evidence import Combination, ShapeView, gathered, has_rule, kind_weights
+from bunraku.anatomy.names.bone_words import without_prefix
 from bunraku.core.character import Character
 from bunraku.core.geometry.axes import AXES, ORIENTATIONS, axis_name, upright_rotation
 from bunraku.core.geometry.surface import surface_points
 from bunraku.core.request import checked
-from bunraku.files import rotated
+from bunraku.files import Source, rotated
 
 if TYPE_CHECKING:
     from bunraku.anatomy.handles.networks import OrientationPredictor
@@ -131,13 +133,13 @@ def guess_orientation(
     model = _model(*dated_checkpoint("orientation", checkpoint))
     bones = _axes_of_bones(character) if prior is None else None
     if prior is None:
-        prior = kind_weights(_suffix(character) if suffix is None else suffix, _moved(character))
+        prior = kind_weights(_suffix(character) if suffix is None else suffix, _moved(character), bones is not None)
     prior = np.where(allowed, prior, 0)
     surface = surface_points(character.vertices, character.faces, _POINTS)
     used = character.surface
     paint = None if character.colors is None else (np.cumsum(used)[character.faces] - 1, character.colors[used])
     vertices, combined = character.vertices[used], Combination()
-    logs, worth = gathered(ShapeView(vertices, surface, paint)), combined.worth(vertices)
+    logs, worth = gathered(ShapeView(vertices, surface, paint, _named(character))), combined.worth(vertices)
     looks = [_look(model, *surface)]
     if combined(looks[0], logs, worth).max() < ENOUGH:
         looks += [_look(model, *surface_points(character.vertices, character.faces, count)) for count in _AGAIN]
@@ -162,6 +164,18 @@ def _axes_of_bones(character: Character) -> tuple[str, str] | None:
 
     rig = character.rig
     return None if rig is None else rig_axes(rig.names, rig.parents, rig.positions)
+
+
+def _named(character: Character) -> tuple[Sequence[str], np.ndarray] | None:
+    """Names of its bones, or of its meshes where it has none, and where they are, shape (n, 3); None without a file."""
+    source = character.source
+    if character.rig is not None:
+        return without_prefix(character.rig.names), character.rig.positions
+    if not isinstance(source, Source) or not source.fits(character):
+        return None
+    nodes, placed = source.document.items("nodes"), list(source.placed())
+    places = np.array([character.vertices[index].mean(axis=0) for _, index in placed])
+    return [str(nodes[part.node].get("name") or "")[:200] for part, _ in placed], places
 
 
 def _suffix(character: Character) -> str:
