@@ -17,7 +17,7 @@ from bunraku.anatomy.names.bone_words import (
     plain_name,
     without_prefix,
 )
-from bunraku.anatomy.names.skeleton_map import map_skeleton, mmd_skeleton_map
+from bunraku.anatomy.names.skeleton_map import joints_by_structure, map_skeleton, mmd_skeleton_map
 from bunraku.anatomy.names.to_smpl import rest_is_a_pose, to_smpl
 from bunraku.core.body.layout import HANDLE_NAMES, JOINT_NAMES, JOINT_PARENTS
 from bunraku.core.body.reference import reference_body
@@ -181,6 +181,23 @@ def test_a_bone_that_is_but_a_knee_is_no_segment_of_a_leg():
     positions = np.array([[0.1 * name.endswith(".L"), heights[name], 0] for name in names])
     found = read("Hips Thigh.L Knee.L Shin.L Foot.L Chest<Hips", positions=positions)
     check(found, "Thigh.L=left_hip Knee.L=left_hip Shin.L=left_knee Foot.L=left_ankle")
+
+
+def test_a_root_that_bears_legs_is_the_pelvis_and_the_thumb_of_a_foot_a_toe():
+    found = read("Root Thigh.L Shin.L Foot.L FootThumb.L Thigh.R<Root Shin.R Shoulders<Root Neck Head Arm.L<Shoulders")
+    check(found, "Root=pelvis FootThumb.L=left_foot Thigh.R=right_hip Shoulders=spine3 Arm.L=left_shoulder")
+
+
+def test_limbs_of_two_bones_are_seen_where_bones_hold_skin():
+    at = np.array([[0, 1.0, 0], [0.1, 0.9, 0], [0.1, 0.5, 0], [-0.1, 0.9, 0], [-0.1, 0.5, 0],
+                   [0.2, 1.4, 0], [0.3, 1.05, 0], [-0.2, 1.4, 0], [-0.3, 1.05, 0], [0, 1.5, 0]])  # fmt: skip
+    parents = np.array([-1, 0, 1, 0, 3, 0, 5, 0, 7, 0])
+    skeleton = Skeleton(
+        tuple(f"b{bone}" for bone in range(10)), parents, at - np.where(parents[:, None] < 0, 0, at[parents])
+    )
+    found = joints_by_structure(skeleton, np.ones(10))
+    wanted = {"pelvis": 0, "left_hip": 1, "right_knee": 4, "left_shoulder": 5, "right_elbow": 8, "head": 9}
+    assert {name: found.get(name) for name in wanted} == wanted
 
 
 def test_hands_without_a_hand_bone():

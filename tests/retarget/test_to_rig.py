@@ -411,6 +411,19 @@ def test_a_forearm_that_is_taken_for_a_leg_is_of_its_arm():
         assert (parts.parts[known == elbow] == elbow).all()
 
 
+def test_a_hand_that_hangs_on_a_target_goes_along_with_its_arm():
+    person = make_sample("person", rigged=True)
+    known, rig, count = handle_of_joints(person.rig.names, person.rig.parents), person.rig, len(person.rig.names)
+    hand, arm = (int(np.flatnonzero(known == HANDLE_NAMES.index(f"left_{part}"))[0]) for part in ("wrist", "elbow"))
+    parents = np.append(np.where(rig.parents < 0, count, rig.parents), -1)
+    parents[hand] = count
+    names, transforms = tuple(f"b{bone}" for bone in range(count + 1)), np.append(rig.transforms, [np.eye(4)], axis=0)
+    character = replace(person, rig=Rig(names, parents, transforms, rig.indices, rig.weights))
+    parts = RigParts.by_skin(replace(Anatomy.of(replace(person, rig=None), rig_handles(person)), character=character))
+    assert parts is not None
+    assert parts.parents[hand] == arm and parts.parts[hand] == parts.parts[arm] == HANDLE_NAMES.index("left_elbow")
+
+
 def spider(legs=4, bent=0.3) -> Character:
     """A ball and legs of two bones on each side, on a skeleton without names: bones are boxes of one bone each; knees
     are higher and tips lower by `bent`.

@@ -26,7 +26,7 @@ from bunraku.core.animation import bone_order
 from bunraku.core.avatars import MmdModel, mmd_model, vrm_model
 from bunraku.core.body.layout import BESIDE, HANDLE_COUNT, HANDLE_MIRROR, HANDLE_NAMES, HANDLE_PARENTS, WRISTS
 from bunraku.core.body.reference import handle_positions, reference_body
-from bunraku.core.character import Character, Handles
+from bunraku.core.character import Character, Handles, Rig
 from bunraku.core.geometry.rotations import rotation_between
 from bunraku.core.motion import Skeleton, line_up
 from bunraku.errors import CharacterError
@@ -50,6 +50,8 @@ OWN_BONES = 0.3
 """Share of a limb on bones that hold more of it than of all else. Measured on 40 animals: some fish bend in their last
 third, and rigs without legs hold none of those of the mesh.
 """
+BODY = 0.9  # share of the skin that is below the bone on which a body hangs; chosen by eye on a rig with targets
+NEAR_LIMB = 0.05  # how near to the skin of a limb that is which begins where it ends, over the height; likewise
 MIRRORED = 0.05  # how far the skin of a bone is from the mirror image of another's, over the height; chosen by eye
 NEAR_HEAD = 0.1
 """A joint is at the head of its bone where that is so near, over the height. Chosen by eye."""
@@ -130,6 +132,10 @@ class RigParts:
         even = found.roles is None  # else some handles play other parts than their own
         best = (_even(character, skin, shared) if even else shared).argmax(axis=1)
         parts = _as_borne(np.where(mass > 0, best, NO_HANDLE), parents, LEGS + body.further, rig.positions)
+        loose = (parents != rig.parents) & (mmd_rig(character) is None)
+        for bone in bone_order(parents):  # what is put on a limb moves as the limb does there
+            loose[bone] |= parents[bone] >= 0 and loose[parents[bone]]
+            parts[bone] = parts[parents[bone]] if loose[bone] else parts[bone]
         if not _moves_all(body, shared, parts):
             return None
         weights = np.asarray(skin.T @ np.eye(HANDLE_COUNT + 1, dtype=np.float32)[parts][:, :HANDLE_COUNT])
@@ -352,18 +358,23 @@ def _shaped_parts(character: Character) -> np.ndarray | None:
     rig = character.rig
     if rig is None:
         return None
-    below = np.zeros(len(rig.names), bool)  # of the first bone without a parent
-    below[np.flatnonzero(rig.parents < 0)[:1]] = True
-    for bone in bone_order(rig.parents):
+    skin = rig.weights * character.areas[:, None]
+    mass = np.bincount(rig.indices.ravel(), skin.ravel(), minlength=len(rig.names))
+    held, downwards = mass.copy(), bone_order(rig.parents)
+    for bone in reversed(downwards):
+        held[rig.parents[bone]] += held[bone] * (rig.parents[bone] >= 0)
+    below = np.zeros(len(rig.names), bool)  # of the lowest bone that bears nearly all; targets for feet stand beside it
+    below[[bone for bone in downwards if held[bone] > BODY * mass.sum()][-1:]] = True
+    for bone in downwards:
         below[bone] |= rig.parents[bone] >= 0 and below[rig.parents[bone]]
-    order = [bone for bone in bone_order(rig.parents) if below[bone]]
+    order = [bone for bone in downwards if below[bone]]
     place = {bone: number for number, bone in enumerate(order)}
     parents = [place.get(int(rig.parents[bone]), -1) for bone in order]
     rest = rig.positions[order]
     offsets = rest - np.where(np.array(parents)[:, None] >= 0, rest[parents], 0)
-    mass = np.bincount(rig.indices.ravel(), rig.weights.ravel(), minlength=len(rig.names))[order]
-    joints = joints_by_structure(Skeleton(tuple(rig.names[bone] for bone in order), np.array(parents), offsets), mass)
-    out = np.full(len(rig.names), NO_HANDLE)
+    skeleton = Skeleton(tuple(rig.names[bone] for bone in order), np.array(parents), offsets)
+    joints, out = joints_by_structure(skeleton, mass[order]), handle_of_joints(rig.names, rig.parents)
+    out[below | ~np.isin(out, _FEET)] = NO_HANDLE
     for name, joint in joints.items():
         out[order[joint]] = HANDLE_NAMES.index(name)
     left, right = (np.isin(out, _both("hip", "knee", "shoulder", "elbow")[side::2]) for side in (0, 1))
@@ -375,17 +386,38 @@ def _shaped_parts(character: Character) -> np.ndarray | None:
 def _followed(character: Character) -> np.ndarray:
     """The bone that each bone goes along with, shape (J,): its parent, or in MMD models the one whose rotation it takes
     over, as the legs that hold the skin do of those that are keyed. Bones that turn the other way stay with their
-    parents.
+    parents. In other rigs a hand or foot that hangs on a target beside the body goes along with the limb that it ends.
     """
     rig, model = character.rig, mmd_rig(character)
     assert rig is not None
     out = np.array(rig.parents)
     if model is None:
-        return out
+        return _on_limbs(character, rig, out)
     for bone in model.order:
         append = model.bones[bone].append
         if append is not None and append.rotation and append.ratio > 0 and bone not in line_up(append.bone, out):
             out[bone] = append.bone
+    return out
+
+
+def _on_limbs(character: Character, rig: Rig, parents: np.ndarray) -> np.ndarray:
+    """Parents of bones (J,), where what hangs on bones without skin goes along with the limb that ends where it is."""
+    main = np.take_along_axis(rig.indices, rig.weights.argmax(axis=1)[:, None], axis=1)[:, 0]
+    main, skin = main[character.surface], character.vertices[character.surface]
+    held, below = np.bincount(main, minlength=len(parents)) > 0, np.zeros(len(parents), bool)
+    for bone in reversed(bone_order(parents)):
+        if parents[bone] >= 0:
+            below[parents[bone]] |= held[bone] | below[bone]
+    out = parents.copy()
+    for bone in bone_order(parents):
+        if parents[bone] < 0 or held[line_up(int(out[bone]), out)].any() or not (held[bone] or below[bone]):
+            continue
+        lines = [line_up(limb, out) for limb in np.flatnonzero(held & ~below).tolist()]
+        limbs = [line[0] for line in lines if bone not in line and held[line[1:]].any()]
+        ends = np.flatnonzero(np.isin(main, limbs))
+        away = np.linalg.norm(skin[ends] - rig.positions[bone], axis=1)
+        if away.min(initial=np.inf) < NEAR_LIMB * character.height:
+            out[bone] = main[ends[away.argmin()]]
     return out
 
 

@@ -62,7 +62,7 @@ class _Tree:
                 self.kinds[joint] = "leg" if self._bears_a_leg(joint) else "none"
             elif kind == "collar" and again and word.endswith("shoulder"):
                 self.kinds[joint] = "shoulder"
-            elif kind == "foot" and again and "foot" in word:
+            elif (kind == "foot" and again and "foot" in word) or (kind == "fingers" and "foot" in above[joint]):
                 self.kinds[joint] = "toe"
             elif kind in _LIMB_KINDS and "twist" in word and not self.children[joint] and kind in above[joint]:
                 self.kinds[joint] = ""  # a helper beside the limb that goes on below its own parent
@@ -293,6 +293,7 @@ def _trunk(tree: _Tree, out: np.ndarray) -> None:
         out[tree.of("back")] = pelvis
         out[tree.of("body")] = _H["spine1"]
         out[spine] = _H["spine2"]
+        out[[joint for joint in tree.of("root") if tree.child_kinds(joint) & limbs]] = pelvis
     else:
         for joint in tree.of("back"):
             if tree.child_kinds(joint) & (limbs | {"tail"}):

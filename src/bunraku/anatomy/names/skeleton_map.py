@@ -138,11 +138,11 @@ def joints_by_structure(skeleton: Skeleton, mass: np.ndarray | None = None) -> d
             queue += children[one]
         return out
 
-    twins = []
+    twins, least = [], 3 if mass is None else 2  # the last bones of rigs have lengths that are not seen
     for joint in range(count):
         for a, b in combinations([child for child in children[joint] if held[child] > 0], 2):
             far = min(reach[a], reach[b])
-            if far > 0 and abs(reach[a] - reach[b]) < ALIKE * far and len(chain(a)) == len(chain(b)) >= 3:
+            if far > 0 and abs(reach[a] - reach[b]) < ALIKE * far and len(chain(a)) == len(chain(b)) >= least:
                 twins.append((joint, a, b))
     longest = max((reach[a] for _, a, _ in twins), default=0.0)  # one long plait must not make the arms look short
     pairs = [pair for pair in twins if min(reach[pair[1]], reach[pair[2]]) > LONG * longest]
@@ -184,7 +184,8 @@ def joints_by_structure(skeleton: Skeleton, mass: np.ndarray | None = None) -> d
         out |= {f"{side}_{part}": joint for part, joint in zip(("hip", "knee", "ankle", "foot"), line, strict=False)}
     if arms is not None:
         lines = [chain(joint) for joint in arms[1:]]
-        collared = len(lines[0]) >= 4 or length[lines[0][1]] < SHORT_BONE * length[lines[0][2]]
+        short = len(lines[0]) == 3 and length[lines[0][1]] < SHORT_BONE * length[lines[0][2]]
+        collared = len(lines[0]) >= 4 or short
         parts = ("collar", "shoulder", "elbow", "wrist")[0 if collared else 1 :]
         for line, side in zip(lines, _sides(lines, positions, left), strict=True):
             out |= {f"{side}_{part}": joint for part, joint in zip(parts, line, strict=False)}
