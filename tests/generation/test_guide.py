@@ -369,8 +369,37 @@ def test_who_stands_already_does_not_get_up(networks):
     ):
         found, clauses = known(networks, prompt)
         kept = found.needed(clauses)
-        assert len(kept) == parts and sum(clause.seconds for clause in kept) == pytest.approx(6)
+        assert len(kept) == parts
+        assert sum(clause.seconds for clause in kept) == pytest.approx(sum(clause.seconds for clause in clauses))
     assert kept[0].count is None
+
+
+@pytest.mark.parametrize(
+    ("prompt", "least", "most"),
+    [
+        ("Roll", 1.2, 2.2),
+        ("Golf Drive", 3.5, 5.5),
+        ("pulls a lever down", 2.5, 4.5),
+        ("picks a box up from the floor", 3.0, 6.0),
+        ("walks", 6.0, 6.0),
+        ("hammers a nail", 6.0, 6.0),
+        ("walks, then rolls", 6.0, 6.0),
+    ],
+)
+def test_a_clip_without_a_length_is_as_long_as_what_is_done(networks, prompt, least, most):
+    found, clauses = known(networks, prompt)
+    assert least <= sum(clause.seconds for clause in found.fitted(clauses)) <= most
+    asked = parse(prompt, 5.0).clauses
+    assert found.fitted(asked) == asked
+
+
+def test_what_goes_on_is_done_to_the_end_whatever_it_is_done_with(networks):
+    """A person who walks up a slope does not stop after two steps."""
+    found, clauses = known(networks, "walks up a slope")
+    example = found.of([(clauses[0], 120)], (0, 0), 0)
+    statistics = FeatureStatistics(np.zeros(271), np.ones(271))
+    speed = np.linalg.norm(example.on([120], 120, statistics).values[:, 1:3], axis=1)
+    assert speed[-40:].mean() > 0.7 * speed.mean() > 0.2
 
 
 def test_who_sits_with_crossed_legs_is_no_gesture_of_sitting(networks):

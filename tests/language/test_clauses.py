@@ -8,7 +8,7 @@ from bunraku.core.body.reference import reference_body
 from bunraku.core.nn.checkpoints import shipped_checkpoint
 from bunraku.generation.composition import PartTrack
 from bunraku.generation.generate import generate_motions
-from bunraku.language.clauses import of_creature, of_person, split_clauses, timed_clauses
+from bunraku.language.clauses import ENDING, fitting, of_creature, of_person, split_clauses, timed_clauses
 from bunraku.language.parse import clause_of, clauses_of
 
 
@@ -107,6 +107,14 @@ def test_what_is_done_once_gets_its_time_and_what_goes_on_the_rest():
     assert sum(time for _, time in jumps) == pytest.approx(9.0) and jumps[0][1] / jumps[1][1] == pytest.approx(0.8)
     hurried = timed_clauses("walks, then jumps", 3.0)
     assert sum(time for _, time in hurried) == pytest.approx(3.0) and min(time for _, time in hurried) >= 1
+
+
+def test_clauses_without_a_length_last_as_long_as_people_take_for_them():
+    (jump,), (jumps,), (claps,) = map(fitting, (["jumps"], ["jumps three times"], ["claps ten times"]))
+    assert 1.5 < jump < 3 and jumps > 2.5 * (jump - ENDING) and 8 < claps < 14
+    assert fitting(["walks"]) == fitting(["a person stands idle"]) == [6.0]
+    assert fitting(["walks", "jumps"]) == [4.0, 2.0] and sum(fitting(["jumps", "kicks", "bows"])) > 6
+    assert sum(fitting(["jumps 99 times"] * 9)) == pytest.approx(120, rel=0.01)
 
 
 @pytest.mark.parametrize(

@@ -252,7 +252,7 @@ def test_only_what_says_more_than_the_floor_is_more_than_picking_up(text, more):
 
 
 def test_a_thing_that_is_not_let_go_of_makes_one_clause():
-    (one,) = parse("a person picks up a box, then places it on the shelf").clauses
+    (one,) = parse("a person picks up a box, then places it on the shelf", 6.0).clauses
     assert one.seconds == pytest.approx(6)
     assert len(parse("a person puts a box down, then picks up a cup").clauses) == 2
 

@@ -261,3 +261,18 @@ def test_names_of_clips_say_sides_and_ways_by_letters(name: str, action: str, cu
     (clause,) = sentence.clauses
     assert clause.actions == (action,) and cue in clause.cues and clause.count is None
     assert not any("'R'" in note or "'L'" in note for note in sentence.notes)
+
+
+@pytest.mark.parametrize(
+    ("prompt", "hand"),
+    [
+        ("she walks while holding a cup in her right hand", "right"),
+        ("carries a bucket in the left hand", "left"),
+        ("a man is carrying a torch in his right hand", "right"),
+    ],
+)
+def test_who_carries_something_in_a_hand_walks(prompt, hand):
+    (clause,) = parse(prompt).clauses
+    legs, arm = clause.voices
+    assert legs.actions == ("walk",) and legs.detail is None and arm.part == "arms" and arm.detail.hands == hand
+    assert not parse("a person carries a box").clauses[0].voices  # as captured people do

@@ -104,6 +104,19 @@ def test_what_goes_together():
         Request("walks", constraints=Constraints([Loop()])).check(clip=True)
 
 
+def test_all_doors_give_the_length_that_fits_and_the_one_that_is_asked_for():
+    from bunraku.cli.shared import check_sequence
+    from bunraku.language.parse import parse
+
+    for prompt, expected in (("jumps; walks:4", 6.6), ("walks", 6.0), ("bows, then jumps", 5.1)):
+        json = Request.from_json({"sentence": prompt})
+        read = (parse(prompt), Request(prompt).parsed, json.parsed, check_sequence(prompt, None, False))
+        assert [sentence.seconds for sentence in read] == pytest.approx([expected] * len(read))
+    assert Request("jumps", Sampling(9)).parsed.seconds == 9
+    along = Constraints([GroundPath(((0, 0), (0, 3)))])
+    assert Request("jumps", constraints=along).parsed.seconds == 6
+
+
 @pytest.mark.parametrize(
     ("change", "part"),
     [

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 LIMIT = 10_000
 
 
-def read_lines(path: Path, seconds: float, force: bool, named: bool = False) -> list[Sentence]:
+def read_lines(path: Path, seconds: float | None, force: bool, named: bool = False) -> list[Sentence]:
     """The sentences of a text file, one a line, before which the name of a clip may stand where they are `named`; empty
     lines do not count.
 
@@ -327,14 +327,15 @@ class Animate(options.GeneratingOptions):
         if self._batch() and (self.preview or self.directing.after or len(self.output) > 1 or self.takes > 1):
             subject = "--prompts" if self.prompts is not None else "a folder of characters"
             raise OptionError(f"{subject} makes GLB files in one folder (-o), without --preview, --after and --takes")
+        seconds = self._request().seconds
         if self.prompts is None:
             if self.character.is_dir() and len(self.prompt) > 1:
                 raise OptionError("a folder of characters takes one prompt, or the lines of --prompts")
             several = self.add or len(self.prompt) > 1
             _check_quotes(self.prompt)
             prompts = self.prompt or ("",)
-            return [shared.check_sequence(prompt, self.sampling.seconds, self.force, several) for prompt in prompts]
-        return read_lines(self.prompts, self.sampling.seconds, self.force, self.one_file)
+            return [shared.check_sequence(prompt, seconds, self.force, several) for prompt in prompts]
+        return read_lines(self.prompts, seconds, self.force, self.one_file)
 
 
 def _check_quotes(words: Sequence[str]) -> None:
@@ -360,7 +361,7 @@ def _clips(verb: Animate, clips: list[Clip]) -> Iterator[str]:
     done = 0
     try:
         body, request = _kept(verb, path)
-        sentences = [parse(prompt, verb.sampling.seconds, verb.force) for prompt in prompts]
+        sentences = [parse(prompt, request.seconds, verb.force) for prompt in prompts]
         requests = [replace(request, sentence=sentence) for sentence in sentences]
         animations = Animator.shipped(note=_limits_said(path, body)).each(
             body, requests, {clip.number for clip in clips}

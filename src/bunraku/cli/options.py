@@ -183,7 +183,7 @@ class SamplingOptions(Sampling):
 class EditSamplingOptions(SamplingOptions):
     """`Sampling` of a clip that is edited: it has its length, and one motion is drawn."""
 
-    seconds: tyro.conf.Suppress[float] = 6.0
+    seconds: tyro.conf.Suppress[float | None] = None
     candidates: tyro.conf.Suppress[int] = 3
 
 

@@ -110,7 +110,7 @@ def check_range(option: str, value: float | None, low: float, high: float) -> No
     Limit(option, low, high).check(value)
 
 
-def check_sequence(prompt: str, seconds: float, force: bool, named: bool = False) -> Sentence:
+def check_sequence(prompt: str, seconds: float | None, force: bool, named: bool = False) -> Sentence:
     """The sentence of a prompt, or of several in a row, of a clip of some seconds; the name of a clip may stand before
     it where it is `named`. OptionError where the prompt is refused, which `force` prevents where it is not understood.
     """

@@ -15,7 +15,7 @@ from bunraku.core.body.reference import reference_body
 from bunraku.core.geometry.curves import correlated, gaussian, smooth_step
 from bunraku.core.geometry.rotations import matrix_from_6d, matrix_to_6d
 from bunraku.generation.features import HANDLE_SIZE, ROOT_SIZE, FeatureStatistics, decode, feature_mask
-from bunraku.generation.verifier import BEGUN, Track, asks_to_turn, onset
+from bunraku.generation.verifier import BEGUN, Track, activity, asks_to_turn
 from bunraku.language.posing import Posing
 from bunraku.language.sentence import Clause
 
@@ -28,7 +28,7 @@ INSIDE = np.radians(10)  # how far within the requested bounds it then ends
 TURN = np.radians(20)
 """Turn that is left to a motion that is not told to turn. On 144 takes none then turned by more than 60 degrees."""
 SWAY = 1.0  # standard deviation of the mean that counts as the course [s]; a stride sways within
-WAIT = 0.3  # s for which a motion may rest before it begins (`verifier.onset`); chosen by eye
+WAIT = 0.3  # s for which a motion may rest before it begins and after its end (`verifier.activity`); chosen by eye
 SHORTEST_LOOP = 12  # shorter loops are a part of a movement, half a punch [frames]
 SLOWED = 1.25  # largest factor by which what is done is slowed down to fill its time; chosen by eye
 
@@ -94,10 +94,12 @@ def unturned(features: np.ndarray, fps: float) -> np.ndarray:
     return out
 
 
-def waiting(features: np.ndarray, fps: float) -> int:
-    """Frames for which a motion (N, D) waits, until shortly before it begins."""
-    late = onset(Track.of(decode(features, fps))) - WAIT if len(features) >= SHORTEST_LOOP else 0.0
-    return max(round(late * fps), 0)
+def lively(features: np.ndarray, fps: float) -> slice:
+    """The frames of a motion (N, D) from shortly before it begins until shortly after its end."""
+    if len(features) < SHORTEST_LOOP:
+        return slice(0, len(features))
+    first, last = activity(Track.of(decode(features, fps)))
+    return slice(max(first - round(WAIT * fps), 0), min(last + round(WAIT * fps), len(features)))
 
 
 def at_once(features: np.ndarray, script: Sequence[tuple[Clause, int]], fps: float) -> np.ndarray:
@@ -106,7 +108,7 @@ def at_once(features: np.ndarray, script: Sequence[tuple[Clause, int]], fps: flo
     """
     clause, part = next(clause_spans(script))
     frames = len(features[part])
-    late = waiting(features[part], fps) if clause.actions != ("idle",) else 0
+    late = lively(features[part], fps).start if clause.actions != ("idle",) else 0
     if late <= (BEGUN - WAIT) * fps or late > frames * (1 - 1 / SLOWED):
         return features
     return np.concatenate([warped(features[part][late:], frames), features[part.stop :]])

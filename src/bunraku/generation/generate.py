@@ -81,7 +81,7 @@ def generate_motions(
     guidance = None if pack is None else GuidanceExamples(pack, texts.shown)
     if guidance is not None and not loop:
         parted = [[part for clause in script for part in guidance.parted(clause)] for script in scripts]
-        scripts = list(map(guidance.needed, parted))
+        scripts = [guidance.fitted(guidance.needed(script)) for script in parted]
     if guidance is not None and how.note:
         for note in dict.fromkeys(_left_out(guidance, clause) for script in scripts for clause in script):
             if note:

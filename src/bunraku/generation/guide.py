@@ -16,13 +16,13 @@ from bunraku.generation.composition import (
     SLOWED,
     held,
     join_point,
+    lively,
     on_one_leg,
     overlaid,
     played,
     rests,
     splice,
     unturned,
-    waiting,
     warped,
 )
 from bunraku.generation.features import FEATURE_SIZE, FeatureStatistics, encode, feature_weights, mirror
@@ -32,6 +32,8 @@ from bunraku.generation.verifier import REST, SIDES, times_asked
 from bunraku.gestures.catalogue import STANDING, at_part
 from bunraku.gestures.interactions import interaction_gesture
 from bunraku.gestures.limb_gesture import in_stance, limb_gesture
+from bunraku.language.clauses import ENDING
+from bunraku.language.interactions import says_more
 from bunraku.language.lexicon import actions_of, done_once, goes_ahead, is_cyclic, stays_down
 from bunraku.language.phrasing import tells_all, unseen_word
 from bunraku.language.posing import AS_USUAL, Manner, Posing
@@ -40,6 +42,12 @@ from bunraku.language.sentence import Clause
 if TYPE_CHECKING:
     from bunraku.gestures.pose import Gesture
 
+_LENGTHS = 1.2, 12.0
+"""Least and most seconds of a clip as long as its examples; chosen by eye."""
+SINGLE = 0.25
+"""Quantile of the lengths of examples at which a deed is taken to be done once; longer ones may be sets. Chosen by
+eye.
+"""
 HURRY = 1.35
 """Largest factor by which an example that is done once is sped up to fill its time; chosen by eye."""
 TEMPO = (0.93, 1.08)  # factors between which a loop is drawn longer: two seeds of one example differ; chosen by eye
@@ -91,14 +99,9 @@ def laid(
             once is no example.
     """
     closed = manner.closed
-    gesture = pack.gesture(found.number)
-    if gesture is not None and found.detail is not None:
-        if isinstance(found.detail, Posing):
-            gesture = limb_gesture(found.detail)
-        else:  # the thing is then elsewhere
-            gesture, manner = interaction_gesture(found.detail), replace(manner, count=manner.count or 1)
-    elif gesture is not None and found.part:
-        gesture = at_part(gesture, found.part)
+    gesture = _gesture_of(pack, found)
+    if gesture is not None and says_more(found.detail) and done_in_one(gesture):
+        manner = replace(manner, count=manner.count or 1)  # the thing is then elsewhere
     stance = found.stance or manner.stance
     if gesture is not None and stance is not None and not isinstance(found.detail, Posing):
         gesture = in_stance(gesture, stance)
@@ -118,8 +121,7 @@ def laid(
         features = overlaid(seated, features, ("upper body", "arms", "head"))
     example = pack.examples[found.number]
     if example.loop is None:
-        late = waiting(features, FPS)
-        features = features[late:] if late < len(features) - SHORTEST_LOOP else features
+        features = features[lively(features, FPS)]
     # what the network may have seen as little of as the ranker, and what says the same, leads to the end
     made = np.full(frames, example.unranked or found.close)
     loop, times, period = _loop(pack, found), 1, frames
@@ -190,6 +192,21 @@ def _stood(
     if len(piece) < wanted and back - forth >= END:
         piece = played(piece, (back, forth), wanted)
     return splice(values, piece, i, j, BLEND)[:frames]
+
+
+def _gesture_of(pack: ExamplePack, found: Found) -> Gesture | None:
+    """The gesture made by code that an example stands for; None for a captured one."""
+    gesture = pack.gesture(found.number)
+    if gesture is None or (found.detail is None and not found.part):
+        return gesture
+    if found.detail is None:
+        return at_part(gesture, found.part)
+    return limb_gesture(found.detail) if isinstance(found.detail, Posing) else interaction_gesture(found.detail)
+
+
+def done_in_one(gesture: Gesture) -> bool:
+    """Whether a gesture does not go on."""
+    return gesture.cycle is None and gesture.repeat is None
 
 
 def _performed(
@@ -393,6 +410,25 @@ class GuidanceExamples:
                     clause = replace(whole.lasting(whole.seconds + clause.seconds), count=whole.count or 1)
             kept.append(clause)
         return kept
+
+    def fitted(self, script: Sequence[Clause]) -> Sequence[Clause]:
+        """A script of one clause for which no length was asked, as long as its examples are that do it once."""
+        (clause, *others), found = script, self.retrieved(script[0]).found[:SHARED]
+        if others or not clause.fits or not found:
+            return script
+        gesture = _gesture_of(self.pack, found[0])
+        if gesture is not None:
+            if clause.count or not done_in_one(gesture):
+                return script
+            seconds = gesture.seconds
+        else:
+            found = [one for one in found if not self.pack.made[one.number]]
+            if not done_once(clause.actions) or any(goes_on(self.pack, one) for one in found):
+                return script
+            spans = [lively(self.pack.features(one.number), FPS) for one in found]
+            lengths = [(span.stop - span.start) * one.times for span, one in zip(spans, found, strict=True)]
+            seconds = float(np.quantile(lengths, SINGLE)) / FPS
+        return [clause.lasting(float(np.clip(seconds + ENDING, *_LENGTHS)))]
 
     def unseen(self, clause: Clause) -> tuple[str, str]:
         """A word for a clause's only action that no caption and no example has, and that action; "" and "" for none."""

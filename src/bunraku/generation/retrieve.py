@@ -139,7 +139,11 @@ def _offered(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> Retrieved
         clause: Of one action.
         vector: The ranker's unit vector of it, shape (V,).
     """
-    described = [] if clause.detail is None else [Found(one, False, 1.0, "", 1, clause.detail) for one in pack.handled]
+    described = (
+        []
+        if clause.detail is None or clause.voices
+        else [Found(one, False, 1.0, "", 1, clause.detail) for one in pack.handled]
+    )
     if described and isinstance(clause.detail, Posing):
         return Retrieved(_described(pack, clause, clause.detail) or described)
     if clause.limbs_meanwhile is not None:

@@ -187,10 +187,18 @@ def _turns(actions: Iterable[str]) -> bool:
     return any(action in rows and rows[action].turns for action in actions)
 
 
-def onset(track: Track) -> float:
-    """When a motion has begun [s]: the points' mean speed reaches half of its highest, or that of a slow walk."""
+def activity(track: Track) -> tuple[int, int]:
+    """The first frame in which a motion has begun, and the one after its last: the points' mean speed reaches half of
+    its highest, or that of a slow walk.
+    """
     speed = _speed(track)
-    return float(np.argmax(speed >= min(speed.max() / 2, _LIVELY))) / track.fps
+    moving = np.flatnonzero(speed >= min(speed.max() / 2, _LIVELY))
+    return int(moving[0]), int(moving[-1]) + 1
+
+
+def onset(track: Track) -> float:
+    """When a motion has begun [s]."""
+    return activity(track)[0] / track.fps
 
 
 def _speed(track: Track) -> np.ndarray:

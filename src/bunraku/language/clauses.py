@@ -6,16 +6,24 @@ import itertools
 import re
 from collections.abc import Sequence
 
+from bunraku.core.request import SECONDS, USUAL
 from bunraku.language.captions import is_known_clause
 from bunraku.language.interactions import Handling, interaction_of, read_as, with_names
 from bunraku.language.lexicon import actions_of, lexicon, said_cues, said_traits, words_of
 from bunraku.language.limb_phrases import names_limb
+from bunraku.language.phrasing import count_of
 from bunraku.language.posing import Posing, posing_of
 
 GOING, LEAST_GOING = 2.5, 1.5
 """Seconds that walking and the like are worth beside what is done once, and the least that they get before all get
 less; chosen by eye.
 """
+ROUND = 1.1
+"""Seconds of one round of what goes on, where rounds are counted: the median of captured loops of people who wave, nod,
+shake the head, limp or walk two steps.
+"""
+ENDING = 0.6
+"""Seconds for which a person stays as they are after what is done once; chosen by eye."""
 SURELY = 0.7
 """Probability from which a half of "idle to crouch" is taken for something that is done; chosen by eye."""
 SHORTEST_CLAUSE = 1.0
@@ -329,6 +337,26 @@ def passing(clause: str) -> list[str]:
     return []
 
 
+def _held(clause: str) -> Handling | None:
+    """What is held all the time, if not as captured people carry it; None for nothing."""
+    held = read_as(Handling, clause)
+    return held if held is not None and held.only_held and (held.said or not actions_of(clause)) else None
+
+
+def on_foot(clause: str) -> str:
+    """A clause that says that a thing is carried, but not as captured people carry it, as one that says the walk, too;
+    others as they are.
+    """
+    subject, rest = subject_of(clause)
+    rest = rest.removeprefix("is ")
+    (words, spans), table = words_of(rest), lexicon()
+    verb = _verb(words, "third", "gerund")
+    if verb is None or actions_of(rest) != ("carry",) or _held(clause) is None:
+        return clause
+    gerund = table.verbs[table.lemmas[words[verb]]][1]
+    return with_subject(f"walks while {gerund}{rest[spans[verb][1] :]}", subject)
+
+
 def _says(piece: str) -> bool:
     return bool(actions_of(piece)) or interaction_of(piece) is not None
 
@@ -354,6 +382,25 @@ def shared(clauses: Sequence[str], seconds: float) -> list[float]:
     return [seconds / len(clauses)] * len(clauses) if min(times) < SHORTEST_CLAUSE else times
 
 
+def fitting(clauses: Sequence[str]) -> list[float]:
+    """Seconds that clauses in a row take by themselves, at most 120 together: what is done once as long as captured
+    people take for it, as often as is said. With anything that goes on, all last `USUAL` or longer.
+    """
+    times = [_own_time(clause) for clause in clauses]
+    states = [len(clauses) > 1 and _is_state(clause) for clause in clauses]
+    worth = [LEAST_GOING if state else time or GOING for state, time in zip(states, times, strict=True)]
+    going = [number for number, time in enumerate(times) if not (time or states[number])] or [
+        number for number, time in enumerate(times) if not time
+    ]
+    more = max(USUAL - sum(worth), 0.0)
+    for number in going:
+        worth[number] += more / len(going)
+    if not going and worth:
+        worth[-1] += ENDING
+    most = min(0.999 * SECONDS.high / max(sum(worth), 1e-9), 1.0)
+    return [most * time for time in worth]
+
+
 def timed_clauses(sentence: str, seconds: float) -> list[tuple[str, float]]:
     """The clauses of a sentence with their shares of its seconds (`shared`). Where an even share is under a second,
     neighbours are one clause; the sentence itself where all of them are.
@@ -377,6 +424,19 @@ def _time_of(clause: str) -> float:
     """Time that a clause takes when it is done once [s]; 0 for what goes on."""
     times = [lexicon().actions[action].seconds for action in _done_in(clause)]
     return max(times) if times and min(times) > 0 else 0.0
+
+
+def _own_time(clause: str) -> float:
+    """Time that a clause takes where none is asked for [s], of all that it says in a row; 0 for what goes on."""
+    from bunraku.language.reader import frames_of  # numpy
+
+    clause, rows = as_caption(as_present(clause)), lexicon().actions
+    read = [frames_of(of_person(piece)) for piece in parts_of(clause) or passing(clause) or [clause]]
+    pieces = [[rows[frame.action].seconds for frame in frames] for frames in read]
+    times, count = [max(piece) if all(piece) and piece else 0.0 for piece in pieces], count_of(clause)
+    if count and len(pieces) == 1:
+        return count * (times[0] or ROUND)
+    return sum(times) if all(times) else 0.0
 
 
 def _is_state(clause: str) -> bool:
@@ -447,7 +507,7 @@ def with_subject(clause: str, subject: str) -> str:
 _GESTURING = ("arms", "head", "arms and head")
 _JOINTS = tuple(
     re.compile(joint, re.IGNORECASE)
-    for joint in (r"\s*,?\s+(?:while|whilst)\s+", r"\s*,?\s+and\s+(?!(?:then|forth)\b)", r"\s*,\s*(?=\w+ing\b)")
+    for joint in (r"\s*,?\s+(?:while|whilst)\s+", r"\s*,?\s+and\s+(?!(?:then|forth)\b)", r"(?:\s*,\s*|\s+)(?=\w+ing\b)")
 )
 
 
@@ -461,6 +521,8 @@ def split_voices(clause: str) -> tuple[str, ...]:
     text = " ".join(clause.split())
     for joint in _JOINTS:
         halves = [half.strip(" ,.;!") for half in joint.split(text)]
+        if joint is _JOINTS[-1] and len(halves) > 1:
+            halves = [text[: -len(halves[-1])].strip(" ,"), halves[-1]]  # "is strolling along, carrying a tray"
         if len(halves) != 2 or not all(halves):
             continue
         first, second = halves[0], with_subject(halves[1], subject_of(halves[0])[0])
@@ -477,11 +539,12 @@ def moved_part(clause: str) -> str:
     rows = lexicon().actions
     shown = [rows[frame.action] for frame in frames_of(clause)]
     parts = ["legs" if row.locomotion in ("walk", "run") else row.part for row in shown]
-    if not parts or parts[0] == "legs":
-        return parts[0] if parts else ""
-    held = read_as(Handling, clause)
-    if held is not None and held.said and held.only_held:
-        return "arms"  # a thing that is carried as captured people carry it is no gesture
+    if parts[:1] == ["legs"]:
+        return "legs"
+    if _held(clause) is not None:
+        return "arms"
+    if not parts:
+        return ""
     gestures = set(parts)
     if not gestures <= set(_GESTURING):
         return parts[0]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import TYPE_CHECKING
 
 from bunraku.errors import OptionError
@@ -34,13 +35,14 @@ _STANCES = {"sit": "seat", "kneel": "kneel", "both knees": "both knees", "lie": 
 """The `Stance` after an action."""
 
 
-def parse(prompt: str, seconds: float = 6.0, force: bool = False) -> Sentence:
+def parse(prompt: str, seconds: float | None = None, force: bool = False) -> Sentence:
     """A prompt as a sentence: what is done one after the other, each with its time.
 
     Args:
         prompt: In English or a language of `word_table.LANGUAGES`; several sentences in a row with their seconds
             ("walks:4; jumps:2; waves:3").
-        seconds: What parts without seconds of their own share [s], at least 0.5.
+        seconds: What parts without seconds of their own share [s], at least 0.5; None gives them what fits what is done
+            (`clauses.fitting`).
         force: Take it even where no movement in it is understood.
 
     Raises:
@@ -53,10 +55,15 @@ def parse(prompt: str, seconds: float = 6.0, force: bool = False) -> Sentence:
         for part, length in timed_sequence(parse_sequence(narrow(prompt)), seconds)
     ]
     parts = [part for part, _ in timed]
+    spoken = [(split.as_parsed(part.english), length) for part, length in timed]
+    untimed = [split.split_clauses(text) if length is None else [] for text, length in spoken]
+    times = iter(split.fitting(list(chain.from_iterable(untimed))))
     clauses = [
-        clause
-        for part, length in timed
-        for clause in split.handed_on(split.timed_clauses(split.as_parsed(part.english), length))
+        each
+        for (text, length), texts in zip(spoken, untimed, strict=True)
+        for each in split.handed_on(
+            [(clause, next(times)) for clause in texts] if length is None else split.timed_clauses(text, length)
+        )
     ]
     named = with_names([text for text, _ in clauses])
     texts = _homeward(named)
@@ -64,6 +71,8 @@ def parse(prompt: str, seconds: float = 6.0, force: bool = False) -> Sentence:
         clause_of(split.as_caption(split.as_present(text)), length)
         for text, (_, length) in zip(texts, clauses, strict=True)
     ]
+    if len(frames) == 1 and timed[0][1] is None:
+        frames = [replace(frames[0], fits=True)]
     loop = any("loop" in said_traits(part.prompt) for part in parts)
     notes = [note for part in parts for note in part.notes]
     unknown = tuple(word for part in parts for word in part.unknown)
@@ -152,6 +161,7 @@ def clause_of(text: str, seconds: float = 0.0) -> Clause:
         text: In English.
         seconds: How long it lasts [s].
     """
+    text = split.on_foot(text)
     posing, subject = split.limbs_described(text), subject_of(text)[0]
     if posing is not None:
         clause = _clause(text, seconds)

@@ -114,8 +114,10 @@ def _number(text: str) -> float | None:
         return None
 
 
-def timed_sequence(parts: Sequence[tuple[str, float | None]], seconds: float) -> list[tuple[str, float]]:
-    """The prompts with a duration each; those without one share `seconds` evenly.
+def timed_sequence(
+    parts: Sequence[tuple[str, float | None]], seconds: float | None
+) -> list[tuple[str, float | None]]:  # fmt: skip
+    """The prompts with a duration each; those without one share `seconds` evenly, or stay without where it is None.
 
     Args:
         parts: What `parse_sequence` found.
@@ -124,6 +126,8 @@ def timed_sequence(parts: Sequence[tuple[str, float | None]], seconds: float) ->
     Raises:
         OptionError: A part's share is less than half a second, or all parts last longer than a clip may.
     """
+    if seconds is None:
+        return list(parts)
     open_parts = sum(length is None for _, length in parts)
     if open_parts and not (math.isfinite(seconds) and SHORTEST <= seconds <= LONGEST):
         raise OptionError(
@@ -136,7 +140,7 @@ def timed_sequence(parts: Sequence[tuple[str, float | None]], seconds: float) ->
         )
     timed = [(prompt, seconds / open_parts if length is None else length) for prompt, length in parts]
     _check_total([length for _, length in timed])
-    return timed
+    return list(timed)
 
 
 def _check_total(lengths: Sequence[float]) -> None:

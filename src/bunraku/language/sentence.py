@@ -70,6 +70,7 @@ class Clause:
     # thing
     parts: tuple[Clause, ...] = field(default=())
     frames: tuple[Frame, ...] = ()  # what the reader says of it (`reader.frames_of`)
+    fits: bool = False  # no length was asked for, so that examples may change it
 
     @property
     def body(self) -> Clause:

@@ -85,7 +85,7 @@ def with_skeleton(
 class _Generating(TypedDict, total=False):
     """Keyword arguments of `generate`."""
 
-    seconds: float
+    seconds: float | None
     seed: int | Sequence[int]
     steps: int | None
     guidance: float | None
@@ -111,7 +111,7 @@ def generate(prompt: list[str] | tuple[str, ...], **how: Unpack[_Generating]) ->
 def generate(
     prompt: str | list[str] | tuple[str, ...],
     *,
-    seconds: float = 6.0,
+    seconds: float | None = None,
     seed: int | Sequence[int] = 0,
     steps: int | None = None,
     guidance: float | None = None,
@@ -129,7 +129,8 @@ def generate(
     Args:
         prompt: What the character does, in English or a language of `language.words`; several sentences in a row with
             their seconds ("walks:4; jumps:2; waves:3"); or a list of such prompts, which are made in one batch.
-        seconds: Length [s], 0.5 to 120, shared by sentences without seconds of their own.
+        seconds: Length [s], 0.5 to 120, shared by sentences without seconds of their own; None takes what fits the
+            action (see `Sampling`).
         seed: The same seed and version give the same motion. One number gives each prompt of a list different noise,
             the first as when it is alone; a list has a seed for each prompt.
         steps: Sampling steps; None takes the default.
@@ -165,7 +166,7 @@ def generate(
 class _Animating(TypedDict, total=False):
     """Keyword arguments of `animate`."""
 
-    seconds: float
+    seconds: float | None
     seed: int
     steps: int | None
     guidance: float | None
@@ -200,7 +201,7 @@ def animate(
     character: Character | str | Path,
     prompt: str | list[str] | tuple[str, ...],
     *,
-    seconds: float = 6.0,
+    seconds: float | None = None,
     seed: int = 0,
     steps: int | None = None,
     guidance: float | None = None,
@@ -227,7 +228,8 @@ def animate(
             seconds: "walks:4; jumps:2; waves:3"; or a list of such prompts, which are made in shared passes, all with
             the same seed. Other bodies than a person's do it as their kind does: "a person walks" makes a dog walk on
             four legs.
-        seconds: Length [s], 0.5 to 120, shared by sentences without seconds of their own.
+        seconds: Length [s], 0.5 to 120, shared by sentences without seconds of their own; None takes what fits the
+            action (see `Sampling`).
         seed: The same seed and version give the same animation.
         steps: Sampling steps; None takes the default.
         guidance: Classifier-free guidance scale; None takes the default.

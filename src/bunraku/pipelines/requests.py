@@ -21,6 +21,7 @@ from bunraku.core.request import (
     SEED,
     STEPS,
     STIFFNESS,
+    USUAL,
     WHOLE,
     Constraint,
     check_all,
@@ -302,14 +303,15 @@ class Sampling:
 
     Args:
         seconds: Length of the clip, at least 0.5, and at most 120 in one pass; prompts in a row without seconds of
-            their own share it.
+            their own share it. Default: what fits the action: 6 for what goes on, such as walking, or with a path or a
+            pin, and for what is done once as long as people take for it.
         seed: The same seed and version give the same motion.
         steps: Sampling steps, 1 to 1000; more is slower. Default: 4, to which the network was distilled.
         guidance: How closely to follow the sentence, 0 to 20. Default: 3.5.
         candidates: Motions that are drawn, 1 to 16; a ranker chooses the best.
     """
 
-    seconds: float = 6.0
+    seconds: float | None = None
     seed: int = 0
     steps: int | None = None
     guidance: float | None = None
@@ -372,7 +374,13 @@ class Request:
         from bunraku.language.parse import parse
 
         given = self.sentence
-        return parse(given, self.sampling.seconds, self.force) if isinstance(given, str) else given
+        return parse(given, self.seconds, self.force) if isinstance(given, str) else given
+
+    @property
+    def seconds(self) -> float | None:
+        """The length that is asked for [s]; None where it follows from the sentence."""
+        timed = any(constraint.kind in ("path", "pin") for constraint in self.constraints)
+        return USUAL if timed and self.sampling.seconds is None else self.sampling.seconds
 
     def with_parsed(self) -> Request:
         """The same with its sentence parsed, which is then not parsed again."""

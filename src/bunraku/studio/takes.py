@@ -91,7 +91,7 @@ class Animate:
         body = workspace.body(self.character)
         character, handles = body.character, body.anatomy.handles
         request = _followed(workspace, Request.from_json(self.request), self.character)
-        check_fits(request.apparel, character, request.sampling.seconds)
+        check_fits(request.apparel, character, request.parsed.seconds)
         moved: Body | Character = character
         if own_rig(character, request, lambda: body.anatomy) is None:
             request, moved = replace(request, handles=handles), body
