@@ -7,7 +7,7 @@ import { send } from "./api";
 import { clipOf, knowClips } from "./library";
 import { begin } from "./live";
 import { MOST_LETTERS } from "./schema";
-import { fromFile, tooLong } from "./script";
+import { fromFile, inRange, lasting, tooLong } from "./script";
 import { attempt, change, changing, character, doc, instead, pause, say, take } from "./state";
 import type { Understanding } from "./types";
 
@@ -50,7 +50,7 @@ function Backdrop({ text }: { text: string }) {
 
 function sentence(text: string): void {
   const { script, sentence: number } = doc.value;
-  change("type", { script: script.map((part, place) => (place === number ? { text, seconds: part.seconds } : part)) });
+  change("type", { script: script.map((part, place) => (place === number ? { text, seconds: part.seconds, ...(part.fits && { fits: true }) } : part)) });
 }
 
 async function suggest(name: string): Promise<void> {
@@ -67,6 +67,13 @@ export function Prompt() {
   const part = now.script[now.sentence] ?? now.script[0];
   const text = changing.value ? instead.value : (part?.text ?? "");
   useEffect(() => look(text), [text]);
+  const takes = understanding.value?.text === part?.text ? understanding.value?.found.seconds : undefined;
+  useEffect(() => {
+    if (takes && part?.fits && takes !== part.seconds) {
+      const script = now.script.map((one, place) => (place === now.sentence ? { ...one, seconds: inRange(takes) } : one));
+      change("", { script });
+    }
+  }, [takes, part?.fits]);
   const known = understanding.value?.text === text ? understanding.value.found : null;
   const ready = character.value?.state === "ready";
   const go = (): void => {
@@ -164,14 +171,14 @@ export function Prompt() {
               min={0.5}
               max={120}
               step={0.5}
-              value={part?.seconds}
+              value={part?.fits ? "" : part?.seconds}
+              placeholder="what fits"
+              title="empty: as long as what is done takes"
               aria-label="seconds of this sentence"
               onInput={(event) => {
-                const length = Number(event.currentTarget.value);
-                if (length >= 0.5 && length <= 120) {
-                  change("length", {
-                    script: now.script.map((one, place) => (place === now.sentence ? { ...one, seconds: length } : one)),
-                  });
+                const length = event.currentTarget.value === "" && !part?.clip ? null : Number(event.currentTarget.value);
+                if (length === null || (length >= 0.5 && length <= 120)) {
+                  change("length", { script: lasting(now.script, now.sentence, length) });
                 }
               }}
             />

@@ -7,7 +7,7 @@ import type { Apparel, Doc, Pin, Pose, Sentence, Vec3 } from "./types";
 export const EMPTY: Doc = {
   character: null,
   take: null,
-  script: [{ text: "walks forward, then waves with the left hand", seconds: 4 }],
+  script: [{ text: "walks forward, then waves with the left hand", seconds: 6, fits: true }],
   sentence: 0,
   seed: 0,
   count: 1,
@@ -94,8 +94,11 @@ const time = number(0, 120);
 const coordinate = number(-500, 500);
 const anywhere = number(-1e300, 1e300);
 const sentence: Read<Sentence> = (value) => {
-  const found = record<Required<Sentence>>({ text: text(), seconds: number(0.5, 120), clip: text(80) }, { clip: "" })(value);
-  return found && { text: found.text, seconds: found.seconds, ...(found.clip ? { clip: found.clip } : {}) };
+  const found = record<Required<Sentence>>(
+    { text: text(), seconds: number(0.5, 120), clip: text(80), fits: flag },
+    { clip: "", fits: false },
+  )(value);
+  return found && { text: found.text, seconds: found.seconds, ...(found.clip && { clip: found.clip }), ...(found.fits && { fits: true }) };
 };
 const script: Read<Sentence[]> = list(sentence, 1, MOST_PARTS);
 const point = list(coordinate, 2, 2) as Read<[number, number]>;

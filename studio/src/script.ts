@@ -20,13 +20,23 @@ export function scriptOf(take: Take | null): Sentence[] {
   if (unwritten(take)) {
     return [{ text: "", seconds: inRange(take.seconds ?? 4) }];
   }
-  const parts = take.script.map((part) => ({ ...part, seconds: inRange(part.seconds) }));
+  const parts = take.script.map((part, _, { length }) => ({
+    ...part,
+    seconds: inRange(part.fits && length === 1 && take.seconds ? take.seconds : part.seconds),
+  }));
   return parts.length ? parts : EMPTY.script;
 }
 
 /** Whether the take has no sentences and nothing was typed since it was chosen. */
 export const fromFile = (take: Take | null, doc: Doc): take is Take =>
   take !== null && unwritten(take) && doc.script.length === 1 && !doc.script[0]?.text;
+
+/** A script with another length of a sentence; null for what fits what is done. */
+export function lasting(script: Sentence[], number: number, seconds: number | null): Sentence[] {
+  return script.map(({ fits: _, ...part }, place) =>
+    place === number ? (seconds === null ? { ...part, fits: true } : { ...part, seconds }) : script[place]!,
+  );
+}
 
 export interface Block {
   text: string;

@@ -3,7 +3,7 @@
 import { useRef } from "preact/hooks";
 import { addClip, bend } from "./actions";
 import { clipOf, DRAGGED } from "./library";
-import { blocksOf, fromFile, inRange, readPath } from "./script";
+import { blocksOf, fromFile, inRange, lasting, readPath } from "./script";
 import { seconds as shownSeconds } from "./stage";
 import { change, character, doc, drawing, follow, playing, speed, take, time, total, unfolded } from "./state";
 
@@ -88,9 +88,7 @@ function Sentences() {
         const part = { text, seconds };
         const set = (length: number): void => {
           const limit = inRange(snapped(length));
-          change("length", {
-            script: doc.value.script.map((one, place) => (place === number ? { ...one, seconds: limit } : one)),
-          });
+          change("length", { script: lasting(doc.value.script, number, limit) });
         };
         return (
           <div
@@ -107,7 +105,7 @@ function Sentences() {
               }}
             >
               {clip ? "▶ " : ""}
-              {part.text || "…"} <small>{part.seconds} s</small>
+              {part.text || "…"} <small>{Number(part.seconds.toFixed(2))} s</small>
             </button>
             {script.length > 1 && (
               <button

@@ -81,6 +81,8 @@ export interface Chain {
 export interface Sentence {
   text: string;
   seconds: number;
+  /** Whether it is as long as what is done; `seconds` is then what that takes. */
+  fits?: boolean;
   /** The clip of the library that is played; without it the sentence is generated. */
   clip?: string;
 }
@@ -180,6 +182,8 @@ export interface Understanding {
   /** Names of clips of the library that fit. */
   clips: string[];
   notes: string[];
+  /** How long it lasts where no length is asked for; null where it is refused. */
+  seconds: number | null;
 }
 
 export interface Pin {

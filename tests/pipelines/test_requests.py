@@ -107,10 +107,12 @@ def test_what_goes_together():
 def test_all_doors_give_the_length_that_fits_and_the_one_that_is_asked_for():
     from bunraku.cli.shared import check_sequence
     from bunraku.language.parse import parse
+    from bunraku.studio.forms import Part, TakeForm
 
     for prompt, expected in (("jumps; walks:4", 6.6), ("walks", 6.0), ("bows, then jumps", 5.1)):
         json = Request.from_json({"sentence": prompt})
         read = (parse(prompt), Request(prompt).parsed, json.parsed, check_sequence(prompt, None, False))
+        read += tuple(TakeForm(script=(part,)).request().parsed for part in (Part(prompt), Part(prompt, 9, fits=True)))
         assert [sentence.seconds for sentence in read] == pytest.approx([expected] * len(read))
     assert Request("jumps", Sampling(9)).parsed.seconds == 9
     along = Constraints([GroundPath(((0, 0), (0, 3)))])

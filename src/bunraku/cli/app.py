@@ -170,9 +170,11 @@ def _first_part(box: str) -> str:
     for words, kind in (
         ("could not convert string to float:", ""),
         ("invalid literal for int() with base 10:", "whole "),
+        ("no type matching {None}|FLOAT could be instantiated from", ""),
+        ("no type matching {None}|INT could be instantiated from", "whole "),
     ):
         said = said.replace(words, f"a {kind}number is expected, not")
-    return said[:1].lower() + said[1:]
+    return said[:1].lower() + said[1:].replace("not ['", "not '").replace("']", "'")
 
 
 def _reflowed(text: str) -> str:

@@ -173,6 +173,10 @@ def _typed(axes: tuple[str, str], given: list[bool]) -> str:
 class SamplingOptions(Sampling):
     """`Sampling` on the command line."""
 
+    seconds: Annotated[float | None, tyro.conf.arg(metavar="FLOAT", help_behavior_hint="")] = None
+    """Length of the clip, at least 0.5, which prompts in a row without seconds of their own share. Default: what fits
+    the action; 6 where it goes on, as walking does, or with a path or a pin.
+    """
     steps: Annotated[int | None, tyro.conf.arg(metavar="INT", help_behavior_hint="")] = None
     """Sampling steps, 1 to 1000; more is slower. Default: 4, distilled; 8 with --guidance."""
     guidance: Annotated[float | None, tyro.conf.arg(metavar="FLOAT", help_behavior_hint="")] = None

@@ -80,8 +80,7 @@ SECONDS = Limit("seconds", 0.5, 120.0)
 """Length of a clip that is generated in one pass [s]; longer ones are generated in stretches."""
 WHOLE = Limit("seconds", SECONDS.low, 36_000)
 """Length of a clip, and of each of its parts [s]."""
-USUAL = 6.0
-"""Length of what goes on, such as walking, where none is asked for [s]."""
+USUAL = 6.0  # length of what goes on, such as walking, where none is asked for [s]
 MOMENT = Limit("time", 0, WHOLE.high)
 """A time in a clip [s]."""
 PLACE = Limit("a point", -1e6, 1e6)

@@ -167,7 +167,7 @@ def _left_out(guidance: GuidanceExamples, clause: Clause) -> str:
     lacking = ", ".join(f"'{word}'" for word in guidance.retrieved(clause).lacking)
     if not lacking:
         return ""
-    return f"no gesture of '{clause.text}' has {lacking}; the network makes the motion, and may leave that out"
+    return f"no gesture of '{clause.text}' has {lacking}, and it may be left out"
 
 
 def adapt(motion: HandleMotion, adaptation: np.ndarray) -> HandleMotion:

@@ -416,6 +416,8 @@ class GuidanceExamples:
         (clause, *others), found = script, self.retrieved(script[0]).found[:SHARED]
         if others or not clause.fits or not found:
             return script
+        if done_once(clause.actions):
+            script = [replace(clause, count=clause.count or 1)]
         gesture = _gesture_of(self.pack, found[0])
         if gesture is not None:
             if clause.count or not done_in_one(gesture):
@@ -428,7 +430,7 @@ class GuidanceExamples:
             spans = [lively(self.pack.features(one.number), FPS) for one in found]
             lengths = [(span.stop - span.start) * one.times for span, one in zip(spans, found, strict=True)]
             seconds = float(np.quantile(lengths, SINGLE)) / FPS
-        return [clause.lasting(float(np.clip(seconds + ENDING, *_LENGTHS)))]
+        return [script[0].lasting(float(np.clip(seconds + ENDING, *_LENGTHS)))]
 
     def unseen(self, clause: Clause) -> tuple[str, str]:
         """A word for a clause's only action that no caption and no example has, and that action; "" and "" for none."""

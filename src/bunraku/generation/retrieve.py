@@ -27,9 +27,10 @@ from bunraku.language.clauses import limbs_described
 from bunraku.language.encoders import TextBatch, TextEncoder, text_encoder
 from bunraku.language.interactions import Interaction, says_more
 from bunraku.language.lexicon import cues_of, done_once, goes_ahead, is_cyclic, lexicon
-from bunraku.language.phrasing import saying, tells_all, told
+from bunraku.language.phrasing import body_stems, saying, tells_all, told
 from bunraku.language.posing import Posing, Stance
 from bunraku.language.sentence import Clause
+from bunraku.language.vocabulary import stems
 
 # Chosen by eye on sheets of generated motion.
 MOST = 8  # examples that are offered for a sentence
@@ -227,9 +228,9 @@ def _retrieved(
             if times > 1 and (made or said.cues & _COUNTS or pack.examples[index].loop is not None):
                 continue
             lacks, part = _lacks(pack, index, mirrored, clause) if made else ((), "")
-            if lacks:
-                lacking.update(dict.fromkeys(lacks))
-                continue
+            lacking.update(dict.fromkeys(lacks))
+            if not body_stems().isdisjoint(stems(lacks)) or not lexicon().lemmas.keys() >= set(lacks):
+                continue  # a verb, as in "golf drive", is no other gesture
             # in a gait no arm leads
             other_hand = mirrored and not (sided or gait) and not _ARMS.isdisjoint(said.cues)
             total = float(score[index]) - EXTRA * (_apart(said, mirrored, query, made) + other_hand)

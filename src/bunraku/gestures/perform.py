@@ -315,7 +315,11 @@ def _times_of(
     pauses = variation.pauses if head and not manner.closed else 0.0
     if not manner.closed:
         room = span - (around if finishes else 0) / tempo - (random.uniform(0, variation.after) if finishes else 0)
-        count = manner.count or max(int(room * tempo / repeat.period), 1)
+        exact = room * tempo / repeat.period
+        count = manner.count or max(int(exact), 1)
+        idle = finishes and not manner.count and (exact - count) * repeat.period > variation.after * tempo
+        if idle and count + 1 < variation.hurry * exact:
+            count, tempo = count + 1, tempo * (count + 1) / exact
     if manner.count:
         tempo = max(tempo, min((around + count * repeat.period) / span, variation.hurry * tempo))
     endless = not manner.count and not finishes

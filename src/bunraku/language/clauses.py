@@ -348,13 +348,8 @@ def on_foot(clause: str) -> str:
     others as they are.
     """
     subject, rest = subject_of(clause)
-    rest = rest.removeprefix("is ")
-    (words, spans), table = words_of(rest), lexicon()
-    verb = _verb(words, "third", "gerund")
-    if verb is None or actions_of(rest) != ("carry",) or _held(clause) is None:
-        return clause
-    gerund = table.verbs[table.lemmas[words[verb]]][1]
-    return with_subject(f"walks while {gerund}{rest[spans[verb][1] :]}", subject)
+    alone = bool(subject) and actions_of(rest) == ("carry",) and _held(clause) is not None
+    return f"{subject} walks and {rest}" if alone else clause
 
 
 def _says(piece: str) -> bool:
@@ -366,12 +361,7 @@ def shared(clauses: Sequence[str], seconds: float) -> list[float]:
     waving) shares the rest evenly. Where there is not enough time, or nothing goes on, all get more or less in
     proportion. Standing or crouching before or after something takes `LEAST_GOING`.
     """
-    states = [_is_state(clause) for clause in clauses]
-    rest = seconds - LEAST_GOING * sum(states)
-    if any(states) and rest >= SHORTEST_CLAUSE * states.count(False) > 0:
-        others = iter(shared([clause for clause, state in zip(clauses, states, strict=True) if not state], rest))
-        return [LEAST_GOING if state else next(others) for state in states]
-    once = [_time_of(clause) for clause in clauses]
+    once = [_time_of(clause) or LEAST_GOING * _is_state(clause) for clause in clauses]
     going = once.count(0.0)
     rest = seconds - sum(once)
     if going and rest >= going * LEAST_GOING:
@@ -382,61 +372,44 @@ def shared(clauses: Sequence[str], seconds: float) -> list[float]:
     return [seconds / len(clauses)] * len(clauses) if min(times) < SHORTEST_CLAUSE else times
 
 
-def fitting(clauses: Sequence[str]) -> list[float]:
-    """Seconds that clauses in a row take by themselves, at most 120 together: what is done once as long as captured
-    people take for it, as often as is said. With anything that goes on, all last `USUAL` or longer.
+def fitting(clauses: Sequence[str]) -> float:
+    """Seconds that clauses in a row take by themselves, at most 120: what is done once as long as captured people take
+    for it, as often as is said. With anything that goes on it is `USUAL` at the least.
     """
-    times = [_own_time(clause) for clause in clauses]
-    states = [len(clauses) > 1 and _is_state(clause) for clause in clauses]
-    worth = [LEAST_GOING if state else time or GOING for state, time in zip(states, times, strict=True)]
-    going = [number for number, time in enumerate(times) if not (time or states[number])] or [
-        number for number, time in enumerate(times) if not time
-    ]
-    more = max(USUAL - sum(worth), 0.0)
-    for number in going:
-        worth[number] += more / len(going)
-    if not going and worth:
-        worth[-1] += ENDING
-    most = min(0.999 * SECONDS.high / max(sum(worth), 1e-9), 1.0)
-    return [most * time for time in worth]
+    once = list(map(_time_of, clauses))
+    seconds = sum(time or GOING for time in once)
+    return min(max(seconds, USUAL) if 0.0 in once else seconds + ENDING, SECONDS.high)
 
 
-def timed_clauses(sentence: str, seconds: float) -> list[tuple[str, float]]:
-    """The clauses of a sentence with their shares of its seconds (`shared`). Where an even share is under a second,
-    neighbours are one clause; the sentence itself where all of them are.
+def timed_clauses(sentence: str, seconds: float | None) -> list[tuple[str, float]]:
+    """The clauses of a sentence with their shares of its seconds (`shared`), which are what they take (`fitting`) where
+    they are None. Where an even share is under a second, neighbours are one clause; the sentence itself where all of
+    them are.
     """
     clauses = split_clauses(sentence)
-    fitting = max(int(seconds / SHORTEST_CLAUSE), 1)
-    if len(clauses) > fitting:
-        bounds = [round(number * len(clauses) / fitting) for number in range(fitting + 1)]
+    seconds = fitting(clauses) if seconds is None else seconds
+    fitting_in = max(int(seconds / SHORTEST_CLAUSE), 1)
+    if len(clauses) > fitting_in:
+        bounds = [round(number * len(clauses) / fitting_in) for number in range(fitting_in + 1)]
         clauses = [", then ".join(clauses[start:stop]) for start, stop in itertools.pairwise(bounds)]
     return [(sentence, seconds)] if len(clauses) < 2 else list(zip(clauses, shared(clauses, seconds), strict=True))
 
 
-def _done_in(clause: str) -> Sequence[str]:
-    """What is done in a clause, by the lexicon's phrases, or where they find nothing by the network."""
+def _done_in(clause: str) -> list[str]:
+    """What is done in a clause, as it is read where it is done."""
     from bunraku.language.reader import frames_of  # numpy
 
-    return actions_of(clause) or [frame.action for frame in frames_of(clause)]
+    return [frame.action for frame in frames_of(of_person(as_caption(as_present(clause))))]
 
 
 def _time_of(clause: str) -> float:
-    """Time that a clause takes when it is done once [s]; 0 for what goes on."""
-    times = [lexicon().actions[action].seconds for action in _done_in(clause)]
-    return max(times) if times and min(times) > 0 else 0.0
-
-
-def _own_time(clause: str) -> float:
-    """Time that a clause takes where none is asked for [s], of all that it says in a row; 0 for what goes on."""
-    from bunraku.language.reader import frames_of  # numpy
-
-    clause, rows = as_caption(as_present(clause)), lexicon().actions
-    read = [frames_of(of_person(piece)) for piece in parts_of(clause) or passing(clause) or [clause]]
-    pieces = [[rows[frame.action].seconds for frame in frames] for frames in read]
-    times, count = [max(piece) if all(piece) and piece else 0.0 for piece in pieces], count_of(clause)
+    """Time that a clause takes by itself [s], what it says in a row together; 0 for what goes on."""
+    rows, count, pieces = lexicon().actions, count_of(clause), parts_of(clause) or passing(clause) or [clause]
+    read = [[rows[action].seconds for action in _done_in(piece)] for piece in pieces]
+    times = [max(piece) if piece and min(piece) > 0 else 0.0 for piece in read]
     if count and len(pieces) == 1:
         return count * (times[0] or ROUND)
-    return sum(times) if all(times) else 0.0
+    return sum(times) if min(times) > 0 else 0.0
 
 
 def _is_state(clause: str) -> bool:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
-from itertools import chain
 from typing import TYPE_CHECKING
 
 from bunraku.errors import OptionError
@@ -55,15 +54,10 @@ def parse(prompt: str, seconds: float | None = None, force: bool = False) -> Sen
         for part, length in timed_sequence(parse_sequence(narrow(prompt)), seconds)
     ]
     parts = [part for part, _ in timed]
-    spoken = [(split.as_parsed(part.english), length) for part, length in timed]
-    untimed = [split.split_clauses(text) if length is None else [] for text, length in spoken]
-    times = iter(split.fitting(list(chain.from_iterable(untimed))))
     clauses = [
-        each
-        for (text, length), texts in zip(spoken, untimed, strict=True)
-        for each in split.handed_on(
-            [(clause, next(times)) for clause in texts] if length is None else split.timed_clauses(text, length)
-        )
+        clause
+        for part, length in timed
+        for clause in split.handed_on(split.timed_clauses(split.as_parsed(part.english), length))
     ]
     named = with_names([text for text, _ in clauses])
     texts = _homeward(named)
@@ -71,8 +65,6 @@ def parse(prompt: str, seconds: float | None = None, force: bool = False) -> Sen
         clause_of(split.as_caption(split.as_present(text)), length)
         for text, (_, length) in zip(texts, clauses, strict=True)
     ]
-    if len(frames) == 1 and timed[0][1] is None:
-        frames = [replace(frames[0], fits=True)]
     loop = any("loop" in said_traits(part.prompt) for part in parts)
     notes = [note for part in parts for note in part.notes]
     unknown = tuple(word for part in parts for word in part.unknown)
@@ -83,7 +75,7 @@ def parse(prompt: str, seconds: float | None = None, force: bool = False) -> Sen
         prompt,
         "; ".join(part.english for part in parts),
         parts[0].language,
-        tuple(_with_stances(frames)),
+        tuple(replace(clause, fits=len(frames) == 1 and timed[0][1] is None) for clause in _with_stances(frames)),
         unknown,
         tuple(pair for part in parts for pair in part.corrected),
         (*notes, "it asks for a loop: add --loop (loop=True in Python)") if loop else tuple(notes),

@@ -138,9 +138,9 @@ def timed_sequence(
             f"{open_parts} prompts cannot share {seconds:g} seconds, as each lasts {SHORTEST:g} at the least; "
             "allow more seconds or say how long each lasts ('walks:4; jumps:2')"
         )
-    timed = [(prompt, seconds / open_parts if length is None else length) for prompt, length in parts]
-    _check_total([length for _, length in timed])
-    return list(timed)
+    lengths = [seconds / open_parts if length is None else length for _, length in parts]
+    _check_total(lengths)
+    return [(prompt, length) for (prompt, _), length in zip(parts, lengths, strict=True)]
 
 
 def _check_total(lengths: Sequence[float]) -> None:

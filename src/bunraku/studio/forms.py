@@ -60,8 +60,8 @@ class Drawn:
             raise OptionError("seeds are whole numbers from 0 on")
         object.__setattr__(self, "seeds", tuple(int(seed) for seed in self.seeds) or (0,))
 
-    def sampling(self, seconds: float) -> Sampling:
-        """The same of a clip of some seconds."""
+    def sampling(self, seconds: float | None) -> Sampling:
+        """The same of a clip of some seconds, None for what fits."""
         return Sampling(seconds, int(self.seeds[0]), self.steps, self.guidance, self.candidates)
 
 
@@ -91,22 +91,27 @@ Title = Annotated[str, Length(80)]
 
 @dataclass(frozen=True)
 class Part:
-    """A sentence of a script with its length [s], or a clip of the library by its name, which is played as it is."""
+    """A sentence of a script with its length [s], or a clip of the library by its name, which is played as it is. A
+    sentence that `fits` is as long as what is done, whatever stands here, and so is one without a length.
+    """
 
     text: Words
-    seconds: float = 4.0
+    seconds: float = 0.0
     clip: str = ""
+    fits: bool = False
 
     def __post_init__(self) -> None:
-        SECONDS.check(self.seconds)
-        if self.clip:
-            find_clip(self.clip)
+        clip = find_clip(self.clip) if self.clip else None
+        object.__setattr__(self, "fits", clip is None and (self.fits or not self.seconds))
+        object.__setattr__(self, "seconds", self.seconds or (0.0 if clip is None else clip.seconds))
+        SECONDS.check(self.seconds or None)
 
 
 def read_script(script: Sequence[Part]) -> tuple[Part, ...]:
     """The sentences of a script one by one: a row such as "walks:4; jumps:2" is several. OptionError where a sentence
     is empty, or all together are too long.
     """
+    from bunraku.language.parse import parse
     from bunraku.language.prompts import parse_sequence, timed_sequence
 
     if not script or not all(part.clip or part.text.strip(" ;\n\t") for part in script):
@@ -118,7 +123,8 @@ def read_script(script: Sequence[Part]) -> tuple[Part, ...]:
             timed.append(part)
             continue
         typed = parse_sequence(part.text.replace("\n", " ").strip())
-        timed += [Part(text, seconds) for text, seconds in timed_sequence(typed, part.seconds)]
+        for text, seconds in timed_sequence(typed, None if part.fits else part.seconds):
+            timed.append(Part(text, seconds or parse(text, force=True).seconds, fits=seconds is None))
     Length(MOST_PARTS).check(timed, "script")
     if sum(part.seconds for part in timed) > SECONDS.high:
         raise OptionError(f"all sentences together last at most {SECONDS.high:g} seconds; shorten some")
@@ -127,13 +133,18 @@ def read_script(script: Sequence[Part]) -> tuple[Part, ...]:
 
 def sequence_of(script: Sequence[Part]) -> str:
     """The sentences in a row, as a prompt says them."""
-    return "; ".join(f"{part.text}:{part.seconds:g}" for part in script)
+    return "; ".join(part.text if part.fits else f"{part.text}:{part.seconds:g}" for part in script)
+
+
+def _asked(script: Sequence[Part]) -> float | None:
+    """The length of a script [s]; None where a sentence takes what fits."""
+    return None if any(part.fits for part in script) else sum(part.seconds for part in script)
 
 
 def script_json(script: Sequence[Part]) -> list[dict[str, object]]:
     """What a record keeps of a script."""
     return [
-        {"text": part.text, "seconds": part.seconds, **({"clip": part.clip} if part.clip else {})} for part in script
+        {name: value for name, value in vars(part).items() if value or name in ("text", "seconds")} for part in script
     ]
 
 
@@ -163,9 +174,11 @@ class TakeForm(Drawn, DressForm):
         """The request, checked; a take that is followed is only named. `handles` says how the character's were made.
         OptionError where it cannot be requested, or a sentence is not understood.
         """
-        script = read_script(self.script)
+        # pins and paths go by the length that the page shows
+        given = [replace(part, fits=False) for part in self.script] if self.pins or self.path else self.script
+        script = read_script(given)
         request = Request(
-            sequence_of(script), self.sampling(sum(part.seconds for part in script)), self.constraints(),
+            sequence_of(script), self.sampling(_asked(script)), self.constraints(),
             self.apparel_request, GENERATED_STAGES.without(self.without),
             "predict" if self.apparel == "simulate" else handles, self.force,
             self.rig if self.rig == "own" else "auto" if self.apparel in ("simulate", "learn") else "handles",

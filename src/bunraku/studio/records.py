@@ -132,6 +132,7 @@ class _Said:
     text: str
     seconds: _Length = 0.0
     clip: str = ""
+    fits: bool = False
 
 
 @dataclass(frozen=True)
@@ -229,6 +230,7 @@ class _Sentence:
     text: str
     seconds: Annotated[float, SECONDS]
     clip: str = ""
+    fits: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

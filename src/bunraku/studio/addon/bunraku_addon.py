@@ -250,7 +250,7 @@ class BunrakuSettings(bpy.types.PropertyGroup):
 
     address: bpy.props.StringProperty(name="Studio", description="The address that `bunraku studio` printed")
     prompt: bpy.props.StringProperty(name="Sentence", default="walks forward, then waves with the left hand")
-    seconds: bpy.props.FloatProperty(name="Seconds", default=4.0, min=0.5, max=120.0)
+    seconds: bpy.props.FloatProperty(name="Seconds", description="0: what fits", default=0.0, min=0.0, max=120.0)
     seed: bpy.props.IntProperty(name="Seed", default=0, min=0)
 
 

@@ -220,15 +220,15 @@ def understand(request: Request, form: _TextForm) -> Any:
     from bunraku.language.parse import parse
     from bunraku.language.understood import understood
 
-    words = understood(form.text)
+    words, seconds = understood(form.text), None
     with suppress(BunrakuError):
-        parse(form.text)  # what the network reads is remembered, so Enter need not wait for it
+        seconds = parse(form.text).seconds  # what the network reads is remembered, so Enter need not wait for it
     return {
         "clips": [clip.name for clip in search(form.text)[:SUGGESTED]], "ok": words.ok, "language": words.language,
         "english": words.english,
         "unknown": [{"word": word.word, "start": word.start, "stop": word.stop} for word in words.unknown],
         "corrected": [list(pair) for pair in words.corrected], "nearest": list(words.nearest),
-        "notes": list(words.notes),
+        "notes": list(words.notes), "seconds": seconds,
     }  # fmt: skip
 
 

@@ -81,7 +81,10 @@ class BunrakuAnimate:
             "required": {
                 "model_file": ("STRING", {"default": "", "tooltip": "a mesh: .glb, .fbx, .obj, .vrm, ..."}),
                 "sentence": ("STRING", {"default": "walks forward", "multiline": True}),
-                "seconds": ("FLOAT", {"default": 4.0, "min": 0.5, "max": 120.0, "step": 0.5}),
+                "seconds": (
+                    "FLOAT",
+                    {"default": 0.0, "min": 0.0, "max": 120.0, "step": 0.5, "tooltip": "0: what fits"},
+                ),
                 "seed": ("INT", {"default": 0, "min": 0, "max": 2**31 - 1}),
                 "format": (["glb", "fbx", "bvh", "vrma"],),
                 "address": ("STRING", {"default": "http://localhost:8734/#token="}),
