@@ -81,6 +81,8 @@ function Chips({ one }: { one: Character }) {
 function Fronts({ one }: { one: Character }) {
   const [views, setViews] = useState<string[]>([]);
   const { axes } = one;
+  const there = useRef<HTMLFieldSetElement>(null);
+  useEffect(() => there.current?.scrollIntoView({ block: "nearest" }), [views]);
   useEffect(() => {
     let gone = false;
     const thumbs = new Thumbs();
@@ -101,7 +103,7 @@ function Fronts({ one }: { one: Character }) {
   const left = across(axes.up, axes.front);
   const fronts = [axes.front, left, turned(axes.front), turned(left)];
   return (
-    <fieldset class="fronts">
+    <fieldset class="fronts" ref={there}>
       <legend>Which is its front?</legend>
       {views.map((view, number) => (
         <button
