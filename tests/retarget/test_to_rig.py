@@ -424,6 +424,12 @@ def test_a_hand_that_hangs_on_a_target_goes_along_with_its_arm():
     assert parts.parents[hand] == arm and parts.parts[hand] == parts.parts[arm] == HANDLE_NAMES.index("left_elbow")
 
 
+def test_a_rig_of_several_roots_is_read():
+    dog = make_sample("dog", rigged=True)
+    names = tuple(f"b{bone}" for bone in range(len(dog.rig.names)))
+    assert understood_rig(replace(dog, rig=replace(dog.rig, names=names, parents=np.full(len(names), -1)))) is None
+
+
 def spider(legs=4, bent=0.3) -> Character:
     """A ball and legs of two bones on each side, on a skeleton without names: bones are boxes of one bone each; knees
     are higher and tips lower by `bent`.

@@ -364,7 +364,8 @@ def _shaped_parts(character: Character) -> np.ndarray | None:
     for bone in reversed(downwards):
         held[rig.parents[bone]] += held[bone] * (rig.parents[bone] >= 0)
     below = np.zeros(len(rig.names), bool)  # of the lowest bone that bears nearly all; targets for feet stand beside it
-    below[[bone for bone in downwards if held[bone] > BODY * mass.sum()][-1:]] = True
+    bearing = [bone for bone in downwards if held[bone] > BODY * mass.sum()] or downwards[:1]
+    below[bearing[-1]] = True
     for bone in downwards:
         below[bone] |= rig.parents[bone] >= 0 and below[rig.parents[bone]]
     order = [bone for bone in downwards if below[bone]]
