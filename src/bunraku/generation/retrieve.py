@@ -26,7 +26,7 @@ from bunraku.language.captions import mirror_words
 from bunraku.language.clauses import limbs_described
 from bunraku.language.encoders import TextBatch, TextEncoder, text_encoder
 from bunraku.language.interactions import Interaction, says_more
-from bunraku.language.lexicon import cues_of, done_once, goes_ahead, is_cyclic, lexicon
+from bunraku.language.lexicon import LIMB_CUES, cues_of, done_once, goes_ahead, is_cyclic, lexicon
 from bunraku.language.phrasing import body_stems, saying, tells_all, told
 from bunraku.language.posing import Posing, Stance
 from bunraku.language.sentence import Clause
@@ -60,18 +60,13 @@ PARTLY = 0.6
 48 sentences from outside, the nearest caption would have satisfied a viewer in .46, the network in .17 to .39.
 """
 _NOTHING = said_by(()).actions
-_ARMS = frozenset(("left arm", "right arm"))
-_LIMBS = frozenset(f"{side} {limb}" for side in ("left", "right") for limb in ("arm", "leg"))
 _SIDED = frozenset(lexicon().reading["shown"])
-_COUNTS = frozenset(("twice", "thrice", "often"))
-"""Captured examples must say these, too; a gesture is done as often as requested."""
-_SAYS = {"left go": "to the left", "right go": "to the right"}  # cues in words
-_WAYS = frozenset(_SAYS)
-_SPEEDS, _TURNS, _ANGLES = map(cues_of, ("speed", "turn side", "degrees"))
+_WAYS = frozenset(cue for cue in _SIDED if cue.endswith(" go"))
+# captured examples must say how often, too; a gesture is done as often as requested
+_SPEEDS, _TURNS, _ANGLES, _COUNTS = map(cues_of, ("speed", "turn side", "degrees", "count"))
 MOST_TIMES = 4  # most repetitions of a captured example in a row
 _ADDED_WAYS = cues_of("direction") | {"sideways"}
-_ADDED = frozenset(("high", "low")) | _ADDED_WAYS
-_ADDED_TRAITS = frozenset(("on a leg", "backward", "stairs"))
+_ADDED = _ADDED_WAYS.union(lexicon().reading["added"])
 """Cues and traits of a clause that a gesture does not do where its own words do not say them."""
 
 
@@ -156,21 +151,21 @@ def _offered(pack: ExamplePack, clause: Clause, vector: np.ndarray) -> Retrieved
     found = _retrieved(pack, clause, vector, frozenset())
     if described and not found.found:
         return Retrieved(described)
-    let_go = _WAYS if _LIMBS & clause.cues and "goes" not in clause.traits else frozenset[str]()
+    let_go = _WAYS if LIMB_CUES & clause.cues and "goes" not in clause.traits else frozenset[str]()
     let_go |= frozenset(("sits",)) if "sits" not in clause.traits else frozenset[str]()
     let_go |= _COUNTS if clause.count and 1 < clause.count <= MOST_TIMES else frozenset[str]()
     if found.found or found.lacking:
         return found
     if let_go & clause.cues:
         found = _retrieved(pack, clause, vector, let_go)
-    if not found.found and _LIMBS & clause.cues:  # whose side the verifier then sees
-        found = _retrieved(pack, clause, vector, let_go | _LIMBS)
+    if not found.found and LIMB_CUES & clause.cues:  # whose side the verifier then sees
+        found = _retrieved(pack, clause, vector, let_go | LIMB_CUES)
     if "sits" in let_go & clause.cues:
         stance = clause.stance or Stance("seat")
         found = found._replace(found=[example._replace(stance=stance) for example in found.found])
     if found.found or found.lacking or clause.parts or clause.voices:
         return found
-    return _retrieved(pack, clause, vector, _LIMBS, PARTLY)
+    return _retrieved(pack, clause, vector, LIMB_CUES, PARTLY)
 
 
 def _described(pack: ExamplePack, clause: Clause, posing: Posing) -> list[Found]:
@@ -198,7 +193,7 @@ def _retrieved(
     counts = query.cues & _COUNTS - let_go
     times = clause.count or 1 if query.cues & _COUNTS & let_go else 1
     lacking: dict[str, None] = {}
-    sided, unsided = any(cue.startswith(("left", "right")) for cue in query.cues), query.cues & _LIMBS & let_go
+    sided, unsided = any(cue.startswith(("left", "right")) for cue in query.cues), query.cues & LIMB_CUES & let_go
     gait = bool(clause.actions) and query.actions <= {"walk", "run"}
     least = WALKING if gait else least or LEAST
     read = pack.readings is not None and bool(clause.actions) and not gait  # labelled by hand
@@ -217,7 +212,7 @@ def _retrieved(
                 continue
             said = pack.said[index]
             both = (said.actions | said.besides) & query.actions
-            shared = not clause.actions or bool(both or _LIMBS & query.cues)
+            shared = not clause.actions or bool(both or LIMB_CUES & query.cues)
             same = shared and bool(
                 near[index] >= (LIKE if not clause.actions or said.actions == query.actions else SAME)
             )
@@ -232,7 +227,7 @@ def _retrieved(
             if not body_stems().isdisjoint(stems(lacks)) or not lexicon().lemmas.keys() >= set(lacks):
                 continue  # a verb, as in "golf drive", is no other gesture
             # in a gait no arm leads
-            other_hand = mirrored and not (sided or gait) and not _ARMS.isdisjoint(said.cues)
+            other_hand = mirrored and not (sided or gait) and any(cue.endswith(" arm") for cue in said.cues)
             total = float(score[index]) - EXTRA * (_apart(said, mirrored, query, made) + other_hand)
             close = not made and (same or (bool(clause.actions) and said.actions == query.actions and not said.besides))
             found.append(Found(index, mirrored, total, part, times, close=close))
@@ -304,8 +299,9 @@ def _lacks(pack: ExamplePack, index: int, mirrored: bool, clause: Clause) -> tup
     texts, said = pack.examples[index].texts, pack.said[index]
     words = [word for word in clause.added if not tells_all((word,), texts)]
     cues = mirrored_cues(said.cues) if mirrored else said.cues
-    words += [_SAYS.get(cue, cue) for cue in sorted((clause.cues & _ADDED) - cues) if not tells_all((cue,), texts)]
-    words += sorted((clause.traits & _ADDED_TRAITS) - said.traits)
+    added = sorted((clause.cues | clause.traits) & _ADDED - cues - said.traits)
+    added = [cue for cue in added if not tells_all((cue,), texts)]
+    words += [f"to the {cue.removesuffix(' go')}" if cue in _WAYS else cue for cue in added]
     if not words and not clause.count:
         return (), ""
     gesture, part = pack.gesture(index), part_in(clause.person)  # only then is the gesture read

@@ -192,8 +192,6 @@ STANDING = Gesture("standing", (), ((0.0, Pose()), (9.5, Pose())))
 """What gestures that are done once begin and end in."""
 
 
-ASIDE = {"left": 1.0, "aside": 1.0, "right": -1.0, "": 0.0}
-"""To the left or to the right; what is put elsewhere goes to the left, and in the mirror image to the right."""
 AWAY, HIPS, CHEST, HEAD, OVER = 68.0, 18.0, 26.0, 14.0, 0.06
 """How far from straight ahead a place aside is, how far pelvis, chest and head turn towards it [degrees], and how far
 the pelvis goes to that side [m]; chosen by eye.
@@ -255,12 +253,12 @@ def place_pose(height: str | float, way: str, hands: str, held: bool = False) ->
 
     Args:
         height: Of the palms, by its name or in metres.
-        way: "left", "right", "aside" for either of them; "" for straight ahead.
+        way: "left" or "right"; "" for straight ahead.
         hands: "both", "left", "right", or "one" for the right one.
         held: Whether hands go along with the chest where they are straight ahead.
     """
     row = read_places()[height] if isinstance(height, str) else _at_height(height)
-    side = ASIDE[way]
+    side = float(way == "left") - float(way == "right")
     base, hand_row = row.pose, row.both if hands == "both" else row.one
     turned = matrix_y(np.array(np.radians(side * AWAY)))
     carrier: Literal["chest", "ground"] = "chest" if held and not side else "ground"

@@ -40,16 +40,6 @@ def interaction_gesture(interaction: Interaction) -> Gesture:
     return _GESTURES[type(interaction)](interaction)
 
 
-SURFACES = {
-    "top": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
-    "front": ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
-    "grip": ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
-    "body": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
-}
-"""Across it, off it and along it, in the axes of the body: out, up, ahead; the last for what has `up`."""
-HOLDS = {"top": "flat", "front": "flat", "grip": "grip"}
-"""How a hand is on what faces so."""
-
 # Chosen by eye on sheets of the sentences of benchmarks/things.txt.
 LEANS, GOES = 42.0, 0.22
 """How far the trunk leans after hands that go ahead [degrees/m], and how far the pelvis goes with them [m/m]."""
@@ -91,9 +81,10 @@ def _contact_poses(row: Mapping[str, Any], contact: Contact) -> list[Pose]:
     """The body at each place of a deed's path."""
     base = place_pose(contact.height, contact.way, contact.hands)
     path, count = [np.array(point, float) for point in row["path"]], len(row["path"])
-    frame = np.array(SURFACES["body" if row.get("up") else contact.surface], float)
-    face = np.array(SURFACES["front" if "height" in row else contact.surface], float)
-    hold = things_file()["holds"][row.get("hold", HOLDS[contact.surface])]
+    surfaces = things_file()["surfaces"]
+    frame = np.array(surfaces["top" if row.get("up") else contact.surface]["axes"], float)
+    face = np.array(surfaces["front" if "height" in row else contact.surface]["axes"], float)
+    hold = things_file()["holds"][row.get("hold", surfaces[contact.surface]["hold"])]
     turns = row.get("turn", [0.0] * count)
     poses = []
     for number in range(count):
@@ -147,14 +138,17 @@ def _followed(pose: Pose, goes: np.ndarray, opens: float, bows: float) -> Pose:
 NAME = "handle"
 
 # Chosen by eye on sheets of the sentences of benchmarks/things.txt.
-THERE = {"take": 0.9, "put": 0.95, "hold": 0.85}
-"""Seconds from the place before."""
-STAYS = {"take": 0.35, "put": 0.3, "hold": 0.5}
-"""Seconds that hands are there."""
-LOW = {"floor": 0.35, "low": 0.2}
-"""Seconds by which it takes longer to bend down, or to get up."""
-BACK = 0.85
-"""Seconds from the last place to standing."""
+THERE, STAYS, BACK = 0.9, 0.35, 0.85
+"""Seconds from the place before, that hands are there, and from the last place to standing."""
+STOOP, SLOWER = 0.9, 0.5
+"""Height of a place for which nobody bends down [m], and how much longer it takes to bend down to a lower one, or to
+get up [s/m].
+"""
+
+
+def _bends(height: str) -> float:
+    """Seconds by which it takes longer to bend down to a place, or to get up."""
+    return SLOWER * max(STOOP - read_places()[height].one.palm[1], 0.0) if height else 0.0
 
 
 def _handling_gesture(handling: Handling) -> Gesture:
@@ -164,14 +158,14 @@ def _handling_gesture(handling: Handling) -> Gesture:
     keys: list[Key] = [] if steps[0].does == "hold" else [(0.0, Pose())]
     moment, before = 0.0, ""
     for step, pose in zip(steps, poses, strict=True):
-        low = max(LOW.get(height, 0.0) for height in (before, step.place.height))
-        moment += THERE[step.does] + low if keys else 0.0
+        low = max(map(_bends, (before, step.place.height)))
+        moment += THERE + low if keys else 0.0
         keys.append((moment, pose))
-        moment += STAYS[step.does]
+        moment += STAYS
         keys.append((moment, pose))
         before = step.place.height
     if steps[-1].does == "put":
-        keys.append((moment + BACK + LOW.get(before, 0.0), Pose()))
+        keys.append((moment + BACK + _bends(before), Pose()))
     return Gesture(NAME, (), tuple(keys), (0.0, moment) if handling.only_held else None)
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from bunraku.gestures.limb_poses import ARM, LOW, hand_of, low_place, postures, with_legs
+from bunraku.gestures.limb_poses import ARM, hand_of, low_place, postures, postures_file, with_legs
 from bunraku.gestures.play import AT, SIDES, Tracks, posed, still
 from bunraku.gestures.pose import (
     HANGING,
@@ -42,8 +42,6 @@ MOST_LEAN, HANGS = 80.0, 24.0
 """How far the trunk leans to reach something, and the lean from which on other arms hang down [degrees]."""
 BEHIND = 0.1
 """How far behind the pelvis a place is that the trunk does not bend for [m]."""
-_THROUGH = {"back": "floor", "belly": "both knees"}
-"""The stance between standing and lying down."""
 
 
 def limbed(stance: Stance, targets: Sequence[Target]) -> Pose:
@@ -54,7 +52,7 @@ def limbed(stance: Stance, targets: Sequence[Target]) -> Pose:
         targets: Of single ways: where something goes to and fro, one of its ends.
     """
     stance = stance._replace(name="chair") if stance.name == "seat" else stance
-    pose = with_legs(stance_pose(stance), stance, [aim for aim in targets if aim.limb in (*_LEGS, "hips")])
+    pose = with_legs(stance_pose(stance), stance, [aim for aim in targets if aim.whole in ("leg", "hips")])
     arms = [aim for aim in targets if aim.limb in ("arm", "elbow")]
     for target in targets:
         if target.limb == "trunk":
@@ -91,9 +89,9 @@ def in_stance(gesture: Gesture, stance: Stance) -> Gesture:
 
 def way_down(stance: Stance) -> list[Pose]:
     """Poses on the way from standing."""
-    if stance.name in _THROUGH:
-        other = Stance(_THROUGH[stance.name])
-        return [*way_down(other), stance_pose(other)]
+    if stance.name in ("back", "belly"):
+        between = Stance("floor" if stance.name == "back" else "both knees")
+        return [*way_down(between), stance_pose(between)]
     ways = postures("ways").get("chair" if stance.name == "seat" else stance.name)
     return [] if ways is None else [mirrored_pose(ways) if stance.side == "left" else ways]
 
@@ -190,17 +188,10 @@ STAYS, SHORTLY, DOWN, ALIVE = 1.8, 0.9, 0.8, 4.0
 """Seconds that a limb is there at the end, and before something else is done; of each part of the way down from
 standing; and of the small movement of a body that holds its limbs.
 """
-PERIODS = {"arm": 1.3, "elbow": 1.3, "leg": 1.5, "knee": 1.5, "heel": 1.4, "head": 1.9, "trunk": 2.4, "hips": 1.8}
-"""Seconds of once to and fro."""
-SHAPES, BESIDE = frozenset(("bent", "tiptoe")), frozenset(("apart", "together"))
-"""Ways of legs that go together with others."""
-_LEGS = ("leg", "knee", "heel")
 LIES = 60.0
 """Tilt of the pelvis from which on the body lies [degrees]."""
 ROUND, TIMES = 8, 4
 """Poses of a circle, and how often something is done that is done again and again."""
-FROM = {"arm": ("ahead", "up", "back", "down"), "leg": ("ahead", "side", "back", "side")}
-"""The ways that a limb goes through in a circle; others go ahead, to the right, back and to the left."""
 
 
 @functools.lru_cache(maxsize=64)
@@ -210,7 +201,7 @@ def limb_gesture(posing: Posing) -> Gesture:
     posing = _bent_together(posing)
     base = limbed(stance, posing.held)
     low = stance.name != "stand"
-    legs = any(aim.limb in _LEGS for aim in posing.targets) and not low
+    legs = any(aim.whole == "leg" for aim in posing.targets) and not low
     keys: list[Key] = []
     if low and stance.goes:
         keys = [(0.0, Pose())]
@@ -262,7 +253,7 @@ def limb_gesture(posing: Posing) -> Gesture:
 def _bent_together(posing: Posing) -> Posing:
     """Hands on the knees of a bending person are there only while the trunk is bent."""
     bends = any(aim.limb == "trunk" and aim.ways & {"ahead", "down"} for step in posing.steps for aim in step.targets)
-    low = [aim for aim in posing.held if aim.at in LOW] if bends else []
+    low = [aim for aim in posing.held if aim.low is not None] if bends else []
     if not low:
         return posing
     first, *others = posing.steps
@@ -275,16 +266,12 @@ def _replaced(targets: Sequence[Target], others: Sequence[Target]) -> list[Targe
     kept = [
         aim for aim in targets
         if not any(
-            not (other.ways <= SHAPES and aim.ways & BESIDE)
-            and _same(aim.limb) == _same(other.limb) and (aim.side == other.side or "both" in (aim.side, other.side))
+            not (other.ways <= {"bent", "tiptoe"} and aim.ways & {"apart", "together"})
+            and aim.whole == other.whole and (aim.side == other.side or "both" in (aim.side, other.side))
             for other in others
         )
     ]  # fmt: skip
     return [*kept, *others]
-
-
-def _same(limb: str) -> str:
-    return {"elbow": "arm", "knee": "leg", "heel": "leg"}.get(limb, limb)
 
 
 def _of_side(targets: Sequence[Target], side: str) -> list[Target]:
@@ -293,7 +280,8 @@ def _of_side(targets: Sequence[Target], side: str) -> list[Target]:
 
 def _cycle(stance: Stance, held: Sequence[Target], step: Step) -> tuple[list[Pose], float]:
     """The poses of once to and fro, or once round, and its seconds."""
-    period = max(PERIODS.get(aim.limb, 1.6) for aim in step.targets)
+    periods = postures_file()["periods"]
+    period = max(periods[aim.whole] for aim in step.targets)
     if step.alternately:
         right, left = (limbed(stance, _replaced(held, _of_side(step.targets, side))) for side in ("right", "left"))
         rest = limbed(stance, held)
@@ -320,7 +308,7 @@ def _other_end(target: Target) -> Target:
 
 def _on_circle(target: Target, share: float) -> tuple[Target, Target, float]:
     """Two ways between which a limb is at this share of a circle, and how far on from the one to the other."""
-    ways = FROM.get(_same(target.limb), ("ahead", "right", "back", "left"))
+    ways = postures_file()["circles"].get(target.whole, ("ahead", "right", "back", "left"))
     at = share * len(ways)
     plain = target._replace(to=frozenset())
     kept = target.ways - {"ahead", "back"}

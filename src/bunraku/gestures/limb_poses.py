@@ -24,17 +24,25 @@ from bunraku.language.posing import Stance
 FILE = Path(__file__).with_name("postures.toml")
 ARM = 0.625
 """From the shoulder to the palm of a straight arm, measured on the reference body [m]."""
-RISES = {"hip": -50.0, "chest": -14.0, "shoulder": 0.0, "head": 28.0}
-"""How far a straight arm is over the level by the height that its hand has [degrees]."""
-LOW = {"knee": "knee", "leg": "ankle", "heel": "ankle", "buttocks": "hip", "floor": ""}
-"""Places that hands reach by bending, with the joint that each is at."""
+
+
+@functools.cache
+def postures_file() -> dict[str, Any]:
+    """The tables of `postures.toml`."""
+    return tomllib.loads(FILE.read_text(encoding="utf-8"))
 
 
 @functools.cache
 def postures(section: str) -> dict[str, Pose]:
     """The poses of a section of `postures.toml`; a hand is the right one of a pose."""
-    rows: dict[str, dict[str, Any]] = tomllib.loads(FILE.read_text(encoding="utf-8"))[section]
+    rows: dict[str, dict[str, Any]] = postures_file()[section]
     return {name: pose_row({"right": row} if section == "hands" else row) for name, row in rows.items()}
+
+
+def _height(level: str) -> float:
+    """How high "hip", "chest", "shoulder" and "head" of the standing body are [m]."""
+    joint = "spine3" if level == "chest" else level if level in AT else f"left_{level}"
+    return float(reference_body().joints[AT[joint], 1])
 
 
 def low_place(target: Target, side: str, positions: np.ndarray) -> np.ndarray | None:
@@ -45,8 +53,7 @@ def low_place(target: Target, side: str, positions: np.ndarray) -> np.ndarray | 
         pelvis = positions[AT["pelvis"]]
         ahead = -0.3 if "back" in target.ways or target.by == "behind" else 0.3
         return np.array([pelvis[0] + sign * 0.22, 0.03, pelvis[2] + ahead])
-    joint = LOW.get(target.at)
-    if not joint:
+    if not (joint := target.low):
         return None
     knees = {name: positions[AT[f"{name}_knee"], 1] for name in ("left", "right")}
     if target.at == "knee" and not target.at_side and abs(knees["left"] - knees["right"]) > 0.2:
@@ -125,7 +132,7 @@ def _stretched(
     level = sign * aside * across_chest + along * onward / max(float(np.linalg.norm(onward)), 1e-6)
     up = float("up" in ways) - float("down" in ways)
     if target.by == "level":
-        rises = RISES[target.at]
+        rises = float(np.degrees(np.arcsin(np.clip((_height(target.at) - _height("shoulder")) / ARM, -1, 1))))
     elif level.any():
         rises = 50.0 * up if up else 0.0
         if "back" in ways and not up:
@@ -175,10 +182,8 @@ by eye on sheets of gestures.
 """
 AHEAD, BACK, SIDE, KNEE = 46.0, 37.0, 40.0, 80.0
 """How far a leg, or a thigh, goes from hanging as usual [degrees]."""
-STRAIGHT, MOST = {"hip": 84.0, "chest": 98.0, "shoulder": 104.0, "head": 108.0}, 108.0
-"""The same of a straight leg by the height where the foot goes, and the most."""
-THIGH_AT = {"hip": 90.0, "chest": 116.0}
-"""The same of a thigh by the height where the knee goes."""
+MOST, MOST_FOLDED = 108.0, 116.0
+"""The same of a straight leg, and of a thigh with a bent knee, at the most."""
 
 
 def with_legs(pose: Pose, stance: Stance, targets: Sequence[Target]) -> Pose:
@@ -295,9 +300,14 @@ def _standing(own: Foot, hip: np.ndarray, sign: float, target: Target, side: str
         turn = np.radians(min((SIDE if aside > 0 else 0.8 * SIDE) * far, 75)) * aside
         return _aimed(hip, sign, np.array([sign * np.sin(turn), -np.cos(turn), 0.0 if aside > 0 else 0.25]), own)
     if target.limb == "leg" and (level or ways & {"ahead", "straight"}):
-        return _aimed(hip, sign, _ahead(min(STRAIGHT.get(level, AHEAD * far), MOST)), own)
-    angle = THIGH_AT.get(level, KNEE * min(far, 1.35))
+        return _aimed(hip, sign, _ahead(min(_swung(level, LEG) if level else AHEAD * far, MOST)), own)
+    angle = min(_swung(level, THIGH) if level else KNEE * min(far, 1.35), MOST_FOLDED)
     return _aimed(hip, sign, _ahead(angle), own, folded=angle + 4)
+
+
+def _swung(level: str, length: float) -> float:
+    """How far a leg of this length is ahead of hanging down whose end is at a level of the body [degrees]."""
+    return float(np.degrees(np.arccos(np.clip((_height("hip") - _height(level)) / length, -1, 1))))
 
 
 def _ahead(degrees: float) -> np.ndarray:

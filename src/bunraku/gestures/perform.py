@@ -11,19 +11,14 @@ import numpy as np
 from bunraku.core.body.reference import reference_body
 from bunraku.core.geometry.rotations import matrix_y
 from bunraku.core.motion import SkeletalMotion
-from bunraku.gestures.play import AT, FPS, SIDES, HandTrack, Standing, Tracks, captured, mirrored, posed, swaying
+from bunraku.gestures.play import AT, FPS, SIDES, SPINE, HandTrack, Standing, Tracks, captured, mirrored, posed, swaying
 from bunraku.gestures.pose import HANGING, Gesture, Key, Pose, moved
 from bunraku.language.posing import AS_USUAL, Manner
 
-FOLLOWS = {
-    "turn": (23.8, -4.5, -37.3),
-    "lean left": (18.4, -2.6, -29.2),
-    "lean side": (-6.4, 3.2, 10.1),
-    "head left": (-1.6, 5.3, 46.1),
-}
-"""Degrees for each metre by which the left hand is farther out, up and ahead; the right one's are the contrary. Of 131
-captured stretches (16 minutes) they explain, each left out when it was fitted, 22, 46, 13 and 22 % of the
-variance.
+FOLLOWS = np.array([(23.8, -4.5, -37.3), (18.4, -2.6, -29.2), (-6.4, 3.2, 10.1), (-1.6, 5.3, 46.1)])
+"""How far pelvis and trunk turn to the left, the trunk leans to the side and the head turns to the left: degrees for
+each metre by which the left hand is farther out, up and ahead; the right one's are the contrary. Of 131 captured
+stretches (16 minutes) they explain, each left out when it was fitted, 22, 46, 13 and 22 % of the variance.
 """
 MOST = 22.0
 """How far each goes at the most [degrees]."""
@@ -38,23 +33,20 @@ def accompanied(tracks: Tracks, share: np.ndarray, free: dict[str, np.ndarray]) 
         free: By side, whether a hand touches nothing of the body, shape (L,): it stays where it is while the chest that
             carries it turns.
     """
-    angles = {name: np.zeros(len(share)) for name in FOLLOWS}
+    angles = np.zeros((len(FOLLOWS), len(share)))
     for side, sign in SIDES:
         away = np.where(tracks.hands[side].rests[:, None], 0, tracks.hands[side].palm - HANGING.palm)
-        for name, factors in FOLLOWS.items():
-            angles[name] += sign * (away @ np.array(factors))
-    angles = {name: share * np.clip(angle, -MOST, MOST) for name, angle in angles.items()}
+        angles += sign * (FOLLOWS @ away.T)
+    turn, left, aside, look = share * np.clip(angles, -MOST, MOST)
     none = np.zeros(len(share))
-    lean = np.stack([none, angles["lean left"], angles["lean side"]], axis=1)
-    back = -np.radians(angles["turn"] + angles["lean left"])
+    lean = np.stack([none, left, aside], axis=1)
+    back = -np.radians(turn + left)
     hands = {}
     for side, sign in SIDES:
         hand = tracks.hands[side]
         hands[side] = _turned(hand, np.where(free[side] & (hand.on == 1), sign * back, 0))
-    head = np.stack([none, angles["head left"], none], axis=1)
-    return replace(
-        tracks, lean=tracks.lean + lean, head=tracks.head + head, turn=tracks.turn + angles["turn"], hands=hands
-    )
+    head = np.stack([none, look, none], axis=1)
+    return replace(tracks, lean=tracks.lean + lean, head=tracks.head + head, turn=tracks.turn + turn, hands=hands)
 
 
 def _turned(hand: HandTrack, angle: np.ndarray) -> HandTrack:
@@ -97,7 +89,6 @@ TOUCH = 0.17
 """Distance of two palms, or of a palm from the middle of the trunk, with which they touch something [m]."""
 _TRUNK = np.array([0.0, 1.25, 0.0])
 _RISES = 0.03
-_SPINE = ("spine1", "spine2", "spine3", "neck", "head")
 SHIFTS, MOST_SHIFTED = (0.1, 0.24), 2.5
 """How far the pelvis goes to and fro during a gesture at the least, drawn from these [m], as that of the middle half of
 captured people who make one; and how many times as far as in standing at the most.
@@ -167,7 +158,7 @@ def performed(
 def _level(standing: Standing) -> Standing:
     """A person who looks straight ahead on average: in one who looks at the ground, nothing is left of a look up."""
     world = standing.rotations[:, 0]
-    for joint in _SPINE:
+    for joint in SPINE:
         world = world @ standing.rotations[:, AT[joint]]
     down = np.degrees(np.arcsin(np.clip(-world[:, 1, 2], -1, 1))).mean()
     return replace(standing, head=standing.head - [down, 0, 0])
@@ -199,7 +190,7 @@ def _upright(standing: Standing) -> Standing:
     lift = np.min(lifts, axis=0) if lifts else np.zeros(len(pelvis))
     lift = np.maximum(lift.min() + BOBS * (lift - lift.min()), 0)
     world, above = pelvis, np.zeros((len(pelvis), 3))
-    for below, joint in zip(("pelvis", *_SPINE), _SPINE[:4], strict=False):
+    for below, joint in zip(("pelvis", *SPINE), SPINE[:4], strict=False):
         above = above + world @ (rest[AT[joint]] - rest[AT[below]])
         world = world @ standing.rotations[:, AT[joint]]
     own = rest[AT["neck"]] - rest[AT["pelvis"]]

@@ -263,9 +263,8 @@ and how far toes bend up [degrees]; chosen by eye.
 """
 
 # Chosen by eye on sheets of gestures.
-_TRUNK = {"spine1": 0.3, "spine2": 0.35, "spine3": 0.35}
-_HEAD = {"neck": 0.4, "head": 0.6}
-_OUT = {"left": np.array([1.0, 1, 1]), "right": np.array([-1.0, 1, 1])}
+SPINE, _SHARES = ("spine1", "spine2", "spine3", "neck", "head"), (0.3, 0.35, 0.35, 0.4, 0.6)
+"""Its joints, and the share of each: three of the trunk's lean and two of the head's."""
 
 
 @functools.cache  # gestures are constants of the catalogue
@@ -331,8 +330,8 @@ def _posed(keys: _Between, standing: Standing, rest: np.ndarray) -> tuple[np.nda
     upright = np.clip(1 - np.abs(keys.of(tracks.tilt)) / 20, 0, 1)  # a body that lies does not sway
     local[:, 1:] = _share(local[:, 1:], upright)
     lean, head = (keys.of(row) + angle for row, angle in ((tracks.lean, standing.lean), (tracks.head, standing.head)))
-    bends = _angles(np.stack([part * lean for part in _TRUNK.values()] + [part * head for part in _HEAD.values()]))
-    for name, bend in zip((*_TRUNK, *_HEAD), bends, strict=True):
+    bends = _angles(np.stack([part * of for part, of in zip(_SHARES, (lean, lean, lean, head, head), strict=True)]))
+    for name, bend in zip(SPINE, bends, strict=True):
         local[:, AT[name]] = local[:, AT[name]] @ bend
     shrug = keys.of(tracks.shrug)
     for side, sign in SIDES:
@@ -399,7 +398,7 @@ def _set_arm(
 ) -> None:
     """Turns the joints of an arm, in place."""
     shoulder, elbow, wrist = (AT[f"{side}_{name}"] for name in ("shoulder", "elbow", "wrist"))
-    hand, outward = keys.tracks.hands[side], _OUT[side]
+    hand, outward = keys.tracks.hands[side], np.array([dict(SIDES)[side], 1, 1])
     hanging = standing.hands[side]
     ends = []
     for which in (keys.before, keys.after):
@@ -444,7 +443,7 @@ def _set_leg(
 ) -> None:
     """Turns the joints of a leg, in place; feet stand in the world."""
     hip, knee, ankle, toes = (AT[f"{side}_{name}"] for name in ("hip", "knee", "ankle", "foot"))
-    foot, outward = keys.tracks.feet[side], _OUT[side]
+    foot, outward = keys.tracks.feet[side], np.array([dict(SIDES)[side], 1, 1])
     planted = standing.feet[side]
     ends = []
     for which in (keys.before, keys.after):

@@ -15,15 +15,7 @@ from typing import Any
 from bunraku.language.lexicon import lexicon
 
 _VERB = re.compile(r"\{(\w+)\}")
-_MIRRORED = {
-    "left": "right",
-    "lefthand": "righthand",
-    "leftward": "rightward",
-    "leftwards": "rightwards",
-    "clockwise": "counterclockwise",
-}
-_MIRRORED |= {"anticlockwise": "clockwise"} | {right: left for left, right in _MIRRORED.items()}
-_SIDE = re.compile(r"\b(" + "|".join(sorted(_MIRRORED, key=len, reverse=True)) + r")\b", re.IGNORECASE)
+_SIDED = re.compile(r"\b(?:(left|right)(hand|wards?)?|(counter|anti)?clockwise)\b", re.IGNORECASE)
 
 
 def conjugate(phrase: str, form: str) -> str:
@@ -91,8 +83,10 @@ def mirror_words(sentence: str) -> str:
     """The sentence of the mirrored motion: left and right, clockwise and counterclockwise are exchanged."""
 
     def swap(match: re.Match[str]) -> str:
-        word = match.group(0)
-        other = _MIRRORED[word.lower()]
+        word, (side, of, against) = match.group(), match.groups("")
+        other = "clockwise" if against else "counterclockwise"
+        if side:
+            other = ("right" if side.lower() == "left" else "left") + of.lower()
         return other.upper() if word.isupper() else other.capitalize() if word[0].isupper() else other
 
-    return _SIDE.sub(swap, sentence)
+    return _SIDED.sub(swap, sentence)

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from bunraku.core.request import SECONDS, USUAL
 from bunraku.language.captions import is_known_clause
 from bunraku.language.interactions import Handling, interaction_of, read_as, with_names
-from bunraku.language.lexicon import actions_of, lexicon, said_cues, said_traits, words_of
+from bunraku.language.lexicon import actions_of, lexicon, longest_pattern, said_cues, said_traits, words_of
 from bunraku.language.limb_phrases import names_limb
 from bunraku.language.phrasing import count_of
 from bunraku.language.posing import Posing, posing_of
@@ -29,36 +29,40 @@ SURELY = 0.7
 SHORTEST_CLAUSE = 1.0
 """Seconds under which clauses are too short to be done one by one; the sentence stays whole then. Chosen by eye."""
 
-_LATER = r"(?:then|after\s+that|after\s+this|after\s+which|afterwards?|finally|lastly|next(?!\s+to)|subsequently)"
-_ORDER = re.compile(
-    rf"\s*[.!]+\s+(?:(?:and\s+)?{_LATER}\b,?\s+)?(?=[a-z])"  # "He walks. Then he jumps."
-    rf"|\s*,?\s*(?<!now)(?<!now )\b(?:and|but)\s+{_LATER}\b\s*,?\s*"  # "walks and then jumps"
-    rf"|\s*,\s*{_LATER}\b\s*,?\s*"  # "walks, then jumps"
-    r"|\s*(?<!now and)(?<!\bor)(?<!\beven)(?<!\buntil)(?<!\bsince)(?<!\bback)(?<!\bby)\s+then\s+"  # "walks then jumps"
-    r"|\s*,?\s*\bfollowed\s+by\s+",
-    re.IGNORECASE,
-)
-_OPENING = re.compile(rf"^(?:(?:at\s+)?first(?:ly)?\b|{_LATER}\b|to\s+begin\s+with\b)\s*,?\s*", re.IGNORECASE)
-_BEGINS = re.compile(r"\b(?:starts|begins|start|begin)\s+(?:off\s+)?by\s+(?=\w+ing\b)", re.IGNORECASE)
-_AFTER_FIRST = re.compile(r"^after\s+(?:having\s+)?(?P<earlier>[^,]+?),\s*(?P<later>.+)$", re.IGNORECASE | re.DOTALL)
-_HINGE = re.compile(
-    r"\s*,?\s+(?P<word>before|after)\s+(?:having\s+)?(?P<rest>(?!landing|being).+)$", re.IGNORECASE | re.DOTALL
-)
-_NO_VERB = re.compile(
-    r"(?:left|right|forwards?|backwards?|back(?!\s+(?:up|away|off))|sideways|to|towards?|into|onto|in|on|at|around|up|down|away|out|off|again|over|with|from"
-    r"|the\s+other|another|some|for|once|twice|faster|slower|more|less|higher|lower)\b",
-    re.IGNORECASE,
-)
-_REPORTED_BY = re.compile(
-    r"(?P<who>(?:an?|the)\s+[^,.;]+?)(?:,\s+|\s+)(?P<rest>(?:\w+ly\s+)?\w+ing\b.*)", re.IGNORECASE
-)
-"""A subject of many words before a participle."""
 _LONGEST_NAME = 3
 """Words of a subject behind an article."""
-_ONGOING = re.compile(r"\b(?P<joint>and|then)\s+(?:is|are|was|were)\s+(?P<verb>\w+ing)\b", re.IGNORECASE)
-"""What goes on beside what was said with a finite verb."""
-_ADDS = re.compile(r"(?P<joint>\s*,\s*(?:and\s+)?|\s+and\s+)", re.IGNORECASE)
-"""Between two things that may be done one after the other."""
+
+
+def _joint(words: Sequence[str], at: int, kind: str) -> int:
+    """The number of the word after a joint of a kind of the lexicon that stands here; 0 where none does."""
+    joints = [joint for joint in lexicon().joints.starting(words[at]) if joint.name == kind]
+    joint = longest_pattern(joints, words, at)
+    return joint[1] if joint and (*words, "on")[joint[1]][0].isalpha() else 0
+
+
+def _pieces(text: str, kind: str) -> list[tuple[str, str]]:
+    """What stands between the joints of a kind in a text, each behind the joint before it."""
+    words, spans = words_of(text)
+    pieces, joint, start = list[tuple[str, str]](), "", 0
+    for at in range(1, len(words)):
+        if spans[at][0] > start and (after := _joint(words, at, kind)):
+            pieces.append((joint, text[start : spans[at - 1][1]]))
+            start = spans[after][0] if after < len(words) else len(text)
+            joint = text[spans[at - 1][1] : start]
+    return [*pieces, (joint, text[start:])]
+
+
+def _opened(text: str) -> str:
+    """A text without what says its place in an order: "first, he walks"."""
+    words, spans = words_of(text)
+    after = _joint(words, 0, "first") if words else 0
+    return text[spans[after - 1][1] :].strip() if after else text
+
+
+def _goes_on(text: str) -> bool:
+    """Whether a text only goes on with what was said: "then to the right"."""
+    words = words_of(text)[0]
+    return not words or not words[0][0].isalpha() or bool(_joint(words, 0, "on"))
 
 
 def _begins(text: str, *forms: str) -> bool:
@@ -91,14 +95,14 @@ def split_clauses(sentence: str) -> list[str]:
     Args:
         sentence: A prompt in English.
     """
-    text = " ".join(sentence.replace('"', " ").split())
-    parts = _ORDER.split(_BEGINS.sub("", text))
-    pieces = [piece for part in parts for piece in _hinged(part)]
+    text = " ".join(sentence.replace('"', " ").split()).replace(". ", "; ").replace("! ", "; ")
+    said = " ".join(piece for _, piece in _pieces(text, "by"))
+    pieces = [piece for _, part in _pieces(said, "then") for piece in _hinged(part)]
     listed = [item for piece in pieces for item in _listed(piece, len(pieces) > 1)]
     clauses: list[str] = []
     for half in (half for item in listed for half in _turned_first(item)):
-        clause = _OPENING.sub("", half).strip(" ,.;!")
-        if clauses and clause and (_NO_VERB.match(clause) or not clause[0].isalpha()):
+        clause = _opened(half).strip(" ,.;!")
+        if clauses and clause and _goes_on(clause):
             clauses[-1] += f", then {clause}"  # "runs left, then right"
         elif clause:
             clauses.append(clause)
@@ -198,13 +202,15 @@ def as_parsed(text: str) -> str:
     """
     subject, rest = subject_of(text)
     if not subject:
-        match = _REPORTED_BY.match(text)
-        if match is None or actions_of(match["who"]) or not _begins(match["rest"], "gerund"):
+        words, spans = words_of(text)
+        at = next((number for number in range(2, len(words)) if _verb(words[number:], "gerund") is not None), 0)
+        described = text[: spans[at - 1][1]].rstrip(" ,")
+        if not at or words[0] not in ("a", "an", "the") or {*".,;"} & {*described} or actions_of(described):
             return text
-        subject, rest = "a person", match["rest"]
+        subject, rest = "a person", text[spans[at][0] :]
         text = f"{subject} is {rest}"
     if _begins(rest, "third", "past"):
-        return _ONGOING.sub(_finite, text)
+        return _finite(text)
     if not _begins(rest, "gerund"):
         return text
     words, spans = words_of(rest)
@@ -217,12 +223,14 @@ def as_parsed(text: str) -> str:
     return text
 
 
-def _finite(found: re.Match[str]) -> str:
-    """ "And is waving" as "and waves"; as it is where the verb is not known."""
-    table = lexicon()
-    verb = found["verb"].lower()
-    lemma = table.lemmas.get(verb) if verb in table.gerund else None
-    return found[0] if lemma is None else f"{found['joint']} {table.verbs[lemma][0]}"
+def _finite(text: str) -> str:
+    """ "And is waving" as "and waves", since what was said before has a finite verb."""
+    (words, spans), table = words_of(text), lexicon()
+    for at in range(len(words) - 1, 1, -1):
+        ongoing = words[at] in table.gerund and words[at - 1] in table.grammar["auxiliaries"]
+        if ongoing and words[at - 2] in ("and", "then"):
+            text = text[: spans[at - 1][0]] + table.verbs[table.lemmas[words[at]]][0] + text[spans[at][1] :]
+    return text
 
 
 def as_present(clause: str) -> str:
@@ -265,13 +273,8 @@ def _joined(before: str, text: str) -> str:
     joined = f"{first}, then {predicate}"
     if not {"it", "them"}.isdisjoint(words_of(predicate)[0]):
         taken, put = read_as(Handling, before), read_as(Handling, text)
-        if (
-            taken
-            and put
-            and taken.steps[-1].does != "put"
-            and put.steps[0].does == "hold"
-            and read_as(Handling, joined)
-        ):
+        held = taken and put and taken.steps[-1].does != "put" and put.steps[0].does == "hold"
+        if held and read_as(Handling, joined):
             return joined
     limbs = limbs_described(joined)
     if limbs is not None and not limbs.rest:
@@ -303,14 +306,13 @@ def parts_of(clause: str) -> list[str]:
         clause: In English.
     """
     subject, rest = subject_of(clause)
-    if re.search(r"\b(?:while|whilst)\b", rest):
+    if not {"while", "whilst"}.isdisjoint(words_of(rest)[0]):
         return []
-    bare = re.sub(r"^(?:is|are)\s+", "", rest)
-    pieces = _ADDS.split(_now(bare))
-    forms = [form for form in ("third", "gerund", "plain") if _begins(pieces[0], form)]
-    parts = [pieces[0]]
-    for joint, piece in zip(pieces[1::2], map(_now, pieces[2::2]), strict=True):
-        if _begins(piece, *forms) and not _NO_VERB.match(piece) and all(map(_says, (piece, parts[-1]))):
+    (_, first), *pieces = _pieces(_now(rest.removeprefix("is ").removeprefix("are ")), "added")
+    forms = [form for form in ("third", "gerund", "plain") if _begins(first, form)]
+    parts = [first]
+    for joint, piece in [(joint, _now(piece)) for joint, piece in pieces]:
+        if _begins(piece, *forms) and not _goes_on(piece) and all(map(_says, (piece, parts[-1]))):
             parts.append(piece)
         else:
             parts[-1] += joint + piece
@@ -420,15 +422,19 @@ def _is_state(clause: str) -> bool:
 
 def _hinged(piece: str) -> list[str]:
     """A piece parted at "before" and "after", in the order in which things happen."""
-    match = _AFTER_FIRST.match(piece)
-    finite = ("third", "gerund", "plain", "is")
-    if match and _begins(match["earlier"], "gerund") and _begins(subject_of(match["later"])[1], *finite):
-        return [match["earlier"], *_hinged(match["later"])]
-    for match in _HINGE.finditer(piece):
-        subject, predicate = subject_of(match["rest"])
-        if match.start() and (_begins(match["rest"], "gerund") or (subject and _begins(predicate, "third", "is"))):
-            head, rest = piece[: match.start()], _hinged(match["rest"])
-            return [head, *rest] if match["word"].lower() == "before" else [*rest, head]
+    words, spans = words_of(piece)
+    for at, word in enumerate(words[:-1]):
+        if word not in ("before", "after") or words[at + 1] in ("landing", "being"):
+            continue
+        rest = piece[spans[at + 1 + (words[at + 1] == "having" and at + 2 < len(words))][0] :]
+        earlier, _, later = rest.partition(",")
+        finite = ("third", "gerund", "plain", "is")
+        if not at and word == "after" and _begins(earlier, "gerund") and _begins(subject_of(later)[1], *finite):
+            return [earlier, *_hinged(later.strip())]
+        subject, predicate = subject_of(rest)
+        if at and (_begins(rest, "gerund") or (subject and _begins(predicate, "third", "is"))):
+            head = piece[: spans[at - 1][1]].rstrip(" ,")
+            return [head, *_hinged(rest)] if word == "before" else [*_hinged(rest), head]
     return [piece]
 
 
@@ -438,10 +444,10 @@ def _listed(piece: str, ordered: bool) -> list[str]:
     ("dances with steps, turns and jumps"), so where nothing else in the sentence says order, a list after "with" or
     "of" is none either.
     """
-    first, *others = re.split(r"\s*,\s*(?:and\s+)?", piece, flags=re.IGNORECASE)
+    first, *others = [item for _, item in _pieces(piece, "listed")]
     if not ordered and re.search(r"\b(?:with|of)\b|:", first):
         return [piece]
-    begin = subject_of(_OPENING.sub("", first))[1]
+    begin = subject_of(_opened(first))[1]
     for form in ("third", "gerund", "plain", "past") if others else ():
         if all(_begins(item, form) for item in (begin, *others)):
             head, _, last = others[-1].rpartition(" and ")
@@ -456,7 +462,7 @@ def _turned_first(piece: str) -> list[str]:
     head, joint, last = piece.rpartition(" and ")
     if not joint or " and " in head or "," in piece or " while " in piece:
         return [piece]
-    begin = subject_of(_OPENING.sub("", head))[1]
+    begin = subject_of(_opened(head))[1]
     if not any(_begins(begin, form) and _begins(last, form) for form in ("third", "gerund", "plain", "past")):
         return [piece]
     rows = lexicon().actions
@@ -477,13 +483,6 @@ def with_subject(clause: str, subject: str) -> str:
     return f"{subject} is {clause}" if _begins(clause, "gerund") else clause
 
 
-_GESTURING = ("arms", "head", "arms and head")
-_JOINTS = tuple(
-    re.compile(joint, re.IGNORECASE)
-    for joint in (r"\s*,?\s+(?:while|whilst)\s+", r"\s*,?\s+and\s+(?!(?:then|forth)\b)", r"(?:\s*,\s*|\s+)(?=\w+ing\b)")
-)
-
-
 def split_voices(clause: str) -> tuple[str, ...]:
     """What a clause says of the legs and what of the arms or the head, said as clauses of their own; none where it does
     not say both.
@@ -492,15 +491,16 @@ def split_voices(clause: str) -> tuple[str, ...]:
         clause: In English.
     """
     text = " ".join(clause.split())
-    for joint in _JOINTS:
-        halves = [half.strip(" ,.;!") for half in joint.split(text)]
-        if joint is _JOINTS[-1] and len(halves) > 1:
-            halves = [text[: -len(halves[-1])].strip(" ,"), halves[-1]]  # "is strolling along, carrying a tray"
+    words, spans = words_of(text)
+    last = max((start for word, (start, _) in zip(words, spans, strict=True) if word.endswith("ing")), default=0)
+    ongoing = [("", text[:last]), ("", text[last:])]  # "is strolling along, carrying a tray"
+    for pieces in (_pieces(text, "while"), _pieces(text, "and"), ongoing):
+        halves = [half.strip(" ,.;!") for _, half in pieces]
         if len(halves) != 2 or not all(halves):
             continue
         first, second = halves[0], with_subject(halves[1], subject_of(halves[0])[0])
         parts = [moved_part(half) for half in (first, second)]
-        if "legs" in parts and any(part in _GESTURING for part in parts):
+        if "legs" in parts and not {"", "legs"}.issuperset(parts):
             return (first, second) if parts[0] == "legs" else (second, first)
     return ()
 
@@ -519,6 +519,6 @@ def moved_part(clause: str) -> str:
     if not parts:
         return ""
     gestures = set(parts)
-    if not gestures <= set(_GESTURING):
+    if gestures & {"", "legs"}:
         return parts[0]
     return parts[0] if len(gestures) == 1 else "arms and head"

@@ -259,10 +259,7 @@ class CLIPEncoder:
         return tokens, unit(pooled)
 
 
-CUES: tuple[str, ...] = (
-    *(f"{side} {place}" for place in ("arm", "leg", "turn", "go") for side in ("left", "right")),
-    *lexicon().cues,
-)
+CUES = tuple(f"{side} {place}" for place in lexicon().places["verbs"] for side in ("left", "right")) + lexicon().cues
 """What the numbers of `sentence_cues` stand for."""
 
 

@@ -19,7 +19,7 @@ _PIECE = re.compile(r"[^\W\d_]+'|[^\W\d_]+~?|\d+")
 
 
 @functools.cache
-def _listed(name: str, language: str = "") -> tuple[str, ...]:
+def listed(name: str, language: str = "") -> tuple[str, ...]:
     """Words or endings of a list of `inflections.json`."""
     rows = caption_table("inflections.json")[name]
     return tuple((rows[language] if language else rows).split(" "))
@@ -77,14 +77,14 @@ def _spaced_lexicon(language: str) -> dict[str, list[_Form]]:
 def _readings(token: str, language: str) -> Iterator[tuple[str, str]]:
     """A token as stems and endings; the whole first."""
     yield token, ""
-    endings = _listed("endings", language)
+    endings = listed("endings", language)
     for cut in range(len(token) - 1, 0, -1):
         if token[cut:] in endings:
             yield token[:cut], token[cut:]
 
 
 def _is(token: str, word: str, stem: bool, language: str) -> bool:
-    return token == word or (stem and token.startswith(word) and token[len(word) :] in _listed("endings", language))
+    return token == word or (stem and token.startswith(word) and token[len(word) :] in listed("endings", language))
 
 
 class _Scan:
@@ -104,7 +104,7 @@ class _Scan:
         if self.language == "es":
             variants += [
                 (token[: -len(tail)], tail in ("se", "me", "te", "nos", "selo", "sela"))
-                for tail in _listed("clitics")
+                for tail in listed("clitics")
                 if token.endswith(tail) and len(token) > len(tail) + 3
             ]
         if self.language == "de" and re.search("[aou]e", token):
@@ -128,7 +128,7 @@ class _Scan:
         free = [index for index in range(*clause) if index not in span and not self.taken[index]]
         if form.reflexive and not pronoun:
             near = free if self.language == "de" else [index for index in free if index in (at - 1, at + 1)]
-            if not any(self.tokens[index] in _listed("reflexive") for index in near):
+            if not any(self.tokens[index] in listed("reflexive") for index in near):
                 return None
         used = []
         for word, stem in form.others:
@@ -139,7 +139,7 @@ class _Scan:
         if form.particle:
             last = clause[1] - 1
             after = [index for index in free if index >= span.stop and self.tokens[index] == form.particle]
-            if form.particle in _listed("prepositions"):
+            if form.particle in listed("prepositions"):
                 after = [index for index in after if index == last]
             if not after:
                 return None
@@ -159,7 +159,7 @@ class _Scan:
             inside = self.language == "de" and index and self.tokens[index - 1][0].isalnum() and index - 1 not in edges
             then = best is not None and best.kind == "then" and len(best.words) == 1
             if not self.tokens[index][0].isalnum() or (
-                best and best.kind in _listed("boundaries") and not (then and inside)
+                best and best.kind in listed("boundaries") and not (then and inside)
             ):
                 edges.append(index)
             index += len(best.words) if best else 1
@@ -184,13 +184,13 @@ def scan_spaced(text: str, language: str) -> list[Concept]:
     """
     scan, concepts = _Scan(text, language), []
     clauses = scan.clauses()
-    determiners = {form for form, kind, _, _ in forms(language, fold) if kind == "determiners"}
+    determiners = {form for form, kind, _, _ in forms(language, fold) if kind == "determiner"}
     # verbs of several words first, so that what belongs to them is not read as something else
     best: dict[int, _Form] = {}
     options = []
     for at in range(len(scan.tokens)):
         for form, pronoun in scan.first_words(at):
-            if form.kind != "determiners" and scan.in_a_row(form, at):
+            if form.kind != "determiner" and scan.in_a_row(form, at):
                 noun = at > 0 and scan.tokens[at - 1] in determiners and form.kind in ("noun", "part", "being")
                 count, *weight = _weight(form)
                 options.append((count + 0.5 * noun, weight, -at, form, pronoun))
@@ -209,8 +209,8 @@ def scan_spaced(text: str, language: str) -> list[Concept]:
             form = best[at]
             mark = "plural" if form.plural else ""
             if form.kind == "verb" and len(form.words) == 1:
-                mark = "infinitive" if token.endswith(_listed("infinitive", language)) else ""
-                mark = "gerund" if token.endswith(_listed("gerund", language)) else mark
+                mark = "infinitive" if token.endswith(listed("infinitive", language)) else ""
+                mark = "gerund" if token.endswith(listed("gerund", language)) else mark
             elif form.kind == "verb" and not any(form.stem) and not form.others:
                 mark = "adverb"  # "de puntillas", "à quatre pattes"
             elif form.kind == "then" and clauses[at][0] < at < clauses[at][1]:
@@ -221,16 +221,12 @@ def scan_spaced(text: str, language: str) -> list[Concept]:
             continue
         if not scan.taken[at]:
             sign = "comma" if token in ",;:" else "stop" if not token[0].isalnum() else ""
-            kind = "number" if token.isdigit() else sign or ("ignored" if token in _listed("reflexive") else "unknown")
+            kind = "number" if token.isdigit() else sign or ("ignored" if token in listed("reflexive") else "unknown")
             concepts.append(Concept(kind, scan.raw[at] if kind == "unknown" else token, start, stop))
         at += 1
     return concepts
 
 
-_AFTER_TE = re.compile(
-    r"(?:い(?:ます|ました|る|た|て)|る(?=$|[、。\s])|ください|下さい|おり|いき(?:ます)?|いく|きます|くる|みる|みます)"
-)
-_AFTER_STEM = re.compile(r"(?:ます|ました|ましょう|なさい|たい|始め(?:る|ます)|続け(?:る|ます)|出す|つつ|方)")
 _DIGITS = re.compile(r"\d+")
 
 
@@ -342,12 +338,8 @@ def _read(
             kind, value, mark = kinds["before"]
         elif kind == "before":
             kind, value = "direction", "forward"
-        if kind == "verb" and mark == "te":
-            tail = _AFTER_TE.match(plain, after)
-            if tail:
-                after, mark = tail.end(), "te" if tail.group().endswith("て") else "plain"
-        elif kind == "verb" and mark == "stem":
-            tail = _AFTER_STEM.match(plain, after)
-            if tail:
-                after, mark = tail.end(), "plain"
+        if kind == "verb" and mark in ("te", "stem"):
+            tail = max((end for end in listed("after", mark) if plain.startswith(end, after)), key=len, default="")
+            after += len(tail)
+            mark = "plain" if tail and not (mark == "te" and tail.endswith("て")) else mark
     return Concept(kind, value, index, after, mark), after

@@ -10,9 +10,6 @@ from dataclasses import dataclass
 from importlib import resources
 from typing import Any, NamedTuple
 
-GESTURES_COVER = ("idle", "raise arm", "talk", "twist", "put down", "reach", "stretch")
-"""Actions that a sentence that says a gesture says no more."""
-
 
 @dataclass(frozen=True)
 class Action:
@@ -44,8 +41,8 @@ class Action:
 class Otherwise:
     """A row of `otherwise`."""
 
-    locomotion: tuple[str, ...]  # kinds of locomotion
-    bodies: tuple[str, ...]  # kinds of body (`parse.KINDS`)
+    locomotion: Sequence[str]  # kinds of locomotion
+    bodies: Sequence[str]  # kinds of body, as `parse.for_body` has them
     verb: str = ""  # what is said in place of the verb, in the third person; "" for nothing else
     moves: str = ""  # how the body then moves, as `Clause.moves`
     note: str = ""  # the note that is printed then; "{clause}" stands for the clause
@@ -63,12 +60,12 @@ class Pattern(NamedTuple):
     ahead: bool  # whether `after` is asked for
     first: bool  # whether the text must begin with it
     last: bool  # whether the text must end with it
-    gap: bool  # whether its last word may stand anywhere later
     alone: bool  # whether it is one word, whatever stands around it
 
 
-_SIGNS = ("^", "$", "...")
-"""The text begins there, it ends there, and the word behind may stand anywhere later."""
+def _any_of(words: Iterable[str], forms: Mapping[str, frozenset[str]]) -> frozenset[str]:
+    """Some words, with what the signs among them stand for."""
+    return frozenset[str]().union(*[forms.get(word, (word,)) for word in words])
 
 
 class Phrases:
@@ -90,11 +87,9 @@ class Phrases:
             for text in said:
                 begins = True
                 for part in text.split():
-                    if part in _SIGNS:
+                    if part in "^$":
                         continue
-                    words = set[str]()
-                    for word in part.strip("!=?").split("/"):
-                        words.update(forms.get(word, (word,)))
+                    words = _any_of(part.strip("!=?").split("/"), forms)
                     if section in ("actions", "posing"):
                         self.words.update(words)
                     if begins and part[0] not in "!=":
@@ -118,10 +113,6 @@ class Phrases:
                         found.append(pattern)
         return found
 
-    def longest(self, words: Sequence[str], start: int) -> tuple[Pattern, int] | None:
-        """`longest_pattern` of these."""
-        return longest_pattern(self.starting(words[start]), words, start)
-
     def of(self, section: str, name: str) -> list[Pattern]:
         """Those of one row."""
         return [one for row in self.rows if row[:2] == (section, name) for one in self._patterns(*row)]
@@ -133,12 +124,10 @@ class Phrases:
         variants: list[tuple[frozenset[str] | None, ...]] = [()]
         parts = text.split()
         for part in parts:
-            if part in _SIGNS:
+            if part in "^$":
                 continue
             plain, optional = part.strip("!=?"), part[-1] == "?"
-            words = self.forms.get(plain, frozenset())
-            for word in plain.split("/") if plain not in self.forms else ():
-                words = words.union(self.forms.get(word, (word,)))
+            words = _any_of(plain.split("/"), self.forms)
             if part[0] == "!" and not variants[0]:
                 before = words
             elif part[0] in "!=":
@@ -154,9 +143,9 @@ class Phrases:
                     for way in ways:
                         longer.append(row + way)
                 variants = longer
-        first, last, gap = "^" in parts, "$" in parts, "..." in parts
-        bare = not (before or after or first or last or gap)
-        signs = tuple(after), ahead, first, last, gap
+        first, last = "^" in parts, "$" in parts
+        bare = not (before or after or first or last)
+        signs = tuple(after), ahead, first, last
         made = []
         for row in filter(None, variants):
             made.append(Pattern(section, name, row, before, *signs, bare and len(row) == 1))
@@ -176,7 +165,8 @@ class Lexicon:
     locomotion: dict[str, str]  # the locomotion of each form of a verb that has one
     phrases: Phrases  # all but those of limbs
     cues: tuple[str, ...]  # the names of that section
-    places: dict[str, frozenset[str]]  # what a side may be the side of, and the words that say it
+    # what a side may be the side of ("arm", "leg", "turn", "go"), by "nouns" and "verbs", and the words that say it
+    places: dict[str, dict[str, frozenset[str]]]
     synonyms: dict[str, str]  # what is read in place of each synonym, by its name
     ground: dict[str, str]  # how a body that moves so is on the ground
     otherwise: tuple[Otherwise, ...]  # what some kinds of body do in place of a locomotion
@@ -184,17 +174,20 @@ class Lexicon:
     holding: frozenset[str]  # verbs that say where a part of the body is, in all their forms
     levels: dict[str, float]  # heights of things in metres, for a body of 1.84 m
     # `fields`, the cues for what the reader says of an action, by "field value"; `beside things`, actions that are no
-    # more than walking or looking there, or handling a thing; `gazes`, by what is seen the pitch, sweep and lean of
+    # more than walking or looking there, or handling a thing; `stances`, the `Stance` in a posture and after an action;
+    # `gazes`, by what is seen the pitch, sweep and lean of
     # `Gaze`, chosen by eye on sheets of the sentences of benchmarks/things.txt; `shown`, cues that an example must say
-    # too
+    # too; `added`, cues and traits that a gesture does not do by itself
     reading: dict[str, Any]
     contrary: tuple[frozenset[str], ...]  # cues and traits of which an example does not say another than is said
     grammar: dict[str, frozenset[str]]  # sets of words, by what they are
     irregular: dict[str, str]  # the plain form of inflected words that no rule of `vocabulary.stem` has
     # `parts`, the limb of each part of the body that can go somewhere; `goes`, where a limb goes by a verb alone;
-    # `of verbs`, parts that go without saying with a verb, unless the sentence names their side
+    # `low`, places that hands reach by bending, with the joint that each is at; `of verbs`, parts that go without
+    # saying with a verb, unless the sentence names their side
     limbs: dict[str, Any]
     posing: Phrases  # those of limbs
+    joints: Phrases  # what stands between the clauses of a sentence, at the beginning of one, or where one goes on
     words: frozenset[str]  # all words of the phrases, and of the rows' names
 
 
@@ -220,33 +213,31 @@ def lexicon() -> Lexicon:
             past[form] = verb
     actions = {}
     for name, row in data["actions"].items():
-        covers = frozenset((*row.get("covers", ()), *(GESTURES_COVER if row.get("gesture") else ())))
+        covers = frozenset((*row.get("covers", ()), *(data["gestures cover"] if row.get("gesture") else ())))
         actions[name] = Action(**{**row, "said": tuple(row["said"]), "covers": covers})
     moving = _of_verbs(actions, data["locomotion"])
     classes = data["classes"]
     classes["verb"] = "{" + "} {".join(verbs) + "}"
+    classes["gerund"] = " ".join(gerund)
     classes["going"] = " ".join(f"{{{verb}+}}" for verb, way in moving.items() if way in ("walk", "run"))
     for name, listed in classes.items():
-        signs[f"<{name}>"] = frozenset[str]().union(*[signs.get(word, (word,)) for word in listed.split()])
+        signs[f"<{name}>"] = _any_of(listed.split(), signs)
     rows: list[tuple[str, str, Iterable[str]]] = [("actions", name, action.said) for name, action in actions.items()]
     rows += [(section, name, said) for section in ("cues", "traits") for name, said in data[section].items()]
     rows += [("synonyms", said, (said,)) for said, _ in data["synonyms"]]
     phrases = Phrases(rows, signs)
-    posing = Phrases([("posing", *row) for row in data["posing"].items()], signs)
-    places = {}
-    for name, said in data["places"].items():
-        places[name] = frozenset[str]().union(*[signs.get(word, (word,)) for word in said[0].split("/")])
-    otherwise = [
-        Otherwise(**{**row, "locomotion": tuple(row["locomotion"]), "bodies": tuple(row["bodies"])})
-        for row in data["otherwise"]
-    ]
+    posing, joints = (Phrases([(name, *row) for row in data[name].items()], signs) for name in ("posing", "joints"))
+    places = {
+        kind: {name: _any_of(said.split("/"), signs) for name, said in named.items()}
+        for kind, named in data["places"].items()
+    }
     return Lexicon(
         verbs=verbs, third=frozenset(third), gerund=frozenset(gerund), lemmas=lemmas, actions=actions, phrases=phrases,
-        posing=posing, past={form: past[form] for form in past.keys() - verbs.keys() - third - gerund},
+        posing=posing, joints=joints, past={form: past[form] for form in past.keys() - verbs.keys() - third - gerund},
         locomotion={form: way for verb, way in moving.items() for form in (verb, *verbs[verb])}, places=places,
-        cues=tuple(data["cues"]), synonyms=dict(data["synonyms"]), ground=data["ground"], otherwise=tuple(otherwise),
-        numbers=data["numbers"], holding=signs["<holding>"], levels=data["levels"],
-        contrary=tuple(map(frozenset, data["contrary"])), reading=data["reading"],
+        cues=tuple(data["cues"]), synonyms=dict(data["synonyms"]), ground=data["ground"], numbers=data["numbers"],
+        otherwise=tuple(Otherwise(**row) for row in data["otherwise"]), holding=signs["<holding>"],
+        contrary=tuple(map(frozenset, data["contrary"])), reading=data["reading"], levels=data["levels"],
         grammar={name: frozenset(listed.split()) for name, listed in data["grammar"].items()}, limbs=data["limbs"],
         irregular={form: word for word, listed in data["irregular"].items() for form in listed.split()},
         words=frozenset(phrases.words | posing.words).union(" ".join(actions).replace("-", " ").split()),
@@ -275,6 +266,8 @@ def _of_verbs(actions: Mapping[str, Action], others: Mapping[str, str]) -> dict[
     return found
 
 
+LIMB_CUES = frozenset(cue for cue in lexicon().reading["shown"] if cue.endswith((" arm", " leg")))
+"""Cues for the limb of a side: "left arm"."""
 _WORD = re.compile(r"[^\W_]+|[^\w\s'’-]")
 
 
@@ -303,7 +296,7 @@ def said_phrases(text: str) -> dict[str, dict[str, int]]:
             if phrase.name in found[phrase.section]:
                 continue
             second = phrase.words[1] if len(phrase.words) > 1 else None
-            if second is not None and not phrase.gap and after not in second:
+            if second is not None and after not in second:
                 continue  # as for nearly all, found without a call
             if phrase.alone or _end(phrase, words, start):
                 found[phrase.section][phrase.name] = start
@@ -312,12 +305,10 @@ def said_phrases(text: str) -> dict[str, dict[str, int]]:
 
 def _end(pattern: Pattern, words: Sequence[str], start: int) -> int:
     """The number of the word after a pattern whose first word stands here; 0 where it does not stand here."""
-    _, _, sets, before, after, ahead, first, last, gap, _ = pattern
+    _, _, sets, before, after, ahead, first, last, _ = pattern
     if (first and start) or (start and words[start - 1] in before):
         return 0
     stop = start + len(sets)
-    if gap:
-        return stop if any(word in sets[-1] for word in words[start + 1 :]) else 0  # type: ignore[operator]
     if stop > len(words) or (last and stop != len(words)):
         return 0
     for index in range(start + 1, stop):
@@ -458,10 +449,6 @@ def _in_form(known: str, like: str) -> str:
     return known.replace("{" + verb + "}", form)
 
 
-_VERBS = (("arm", "arm verb"), ("turn", "turn verb"), ("leg", "leg verb"), ("go", "go verb"))
-_NOUNS = (("turn", "turn noun"), ("leg", "leg"), ("arm", "arm"))
-
-
 def _place_of(words: list[str], at: int) -> str:
     """What the side at this word is the side of: the noun right after it, else the nearest verb before it, else one
     after it; "to the left" is never said of a leg.
@@ -469,12 +456,12 @@ def _place_of(words: list[str], at: int) -> str:
     known = lexicon().places
     aside = words[max(at - 2, 0) : at] == ["to", "the"]
     for word in words[at + 1 : at + 3]:
-        for part, noun in _NOUNS:
-            if word in known[noun]:
+        for part, nouns in known["nouns"].items():
+            if word in nouns:
                 return part
     for word in [*reversed(words[:at]), *words[at + 1 :]]:
-        for part, verb in _VERBS:
-            if word in known[verb]:
+        for part, verbs in known["verbs"].items():
+            if word in verbs:
                 return "go" if part == "leg" and aside else part
     return "go"
 

@@ -8,18 +8,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from bunraku.language.lexicon import lexicon, words_of
+from bunraku.language.lexicon import lexicon, longest_pattern, words_of
 from bunraku.language.vocabulary import FUNCTION_WORDS
 
 LIMBS: dict[str, str] = lexicon().limbs["parts"]
 """The limb of each part of the body that can go somewhere."""
 OTHER = {"left": "right", "right": "left"}
-_ENDS = {"ahead": "back", "back": "ahead", **OTHER}
-"""The other end of what swings."""
-_PAIRED = frozenset(("arm", "elbow", "leg", "knee", "heel"))
 _WAYS, _OF_TRUNK = lexicon().grammar["ways"], lexicon().grammar["of the trunk"]
-_AMOUNTS = {"small": 0.5, "half": 0.6, "large": 1.45}
-"""How far, of what is usual; chosen by eye."""
 
 
 class Target(NamedTuple):
@@ -36,6 +31,17 @@ class Target(NamedTuple):
     amount: float = 1.0  # how far, of what is usual
     # ways of the other end of what goes to and fro, "round" of what circles; none of what goes there once
     to: frozenset[str] = frozenset()
+
+    @property
+    def whole(self) -> str:
+        """The arm or leg that the limb is a part of; others as they are."""
+        return {"elbow": "arm", "knee": "leg", "heel": "leg"}.get(self.limb, self.limb)
+
+    @property
+    def low(self) -> str | None:
+        """The joint at a place that hands reach by bending, "" for the floor; None of all other places."""
+        joint: str | None = lexicon().limbs["low"].get(self.at)
+        return joint
 
     @property
     def mirrored(self) -> Target:
@@ -60,7 +66,7 @@ def phrases_of(words: Sequence[str]) -> list[Phrase]:
     found: list[Phrase] = []
     at, table, ends = 0, lexicon().posing, lexicon().grammar["after comparisons"]
     while at < len(words):
-        best = table.longest(words, at)
+        best = longest_pattern(table.starting(words[at]), words, at)
         stop = at + 1 if best is None else best[1]
         kind = value = ""
         if words[at] == "like":
@@ -174,9 +180,10 @@ def targets_of(phrases: Sequence[Phrase], verb: str, last: Sequence[Target], oth
     if verb == "circle" and not plain.to:
         plain = plain._replace(to=frozenset(["round"]))
     if verb == "swing" and not plain.to:
-        start = next(iter(sorted(ways & set(_ENDS))), "ahead" if first in _PAIRED else "left")
+        ends = {"ahead": "back", "back": "ahead", **OTHER}
+        start = next(iter(sorted(ways & set(ends))), "ahead" if Target(first).whole in ("arm", "leg") else "left")
         ways = ways if ways & _WAYS else ways | {start}
-        plain = plain._replace(to=frozenset([_ENDS[start]]))
+        plain = plain._replace(to=frozenset([ends[start]]))
     found = tuple([_of_limb(limb, side, ways, plain, verb) for limb, side in limbs])
     if verb == "hold" and plain.at == "leg" and first == "arm":  # the foot comes to the hand
         found += (Target("leg", plain.at_side or "one", at="buttocks", by="on"),)
@@ -228,7 +235,9 @@ def _said(
             else:
                 many = phrase.words[-1].endswith("s") or phrase.words[-1] == "feet"
                 own = other if side == "other" else side
-                limbs.append((limb, own or ("both" if many else "one") if limb in _PAIRED else "both"))
+                limbs.append(
+                    (limb, own or ("both" if many else "one") if Target(limb).whole in ("arm", "leg") else "both")
+                )
             side = ""
         elif kind == "side":
             side = value
@@ -239,7 +248,7 @@ def _said(
         elif kind == "by":
             pending = value
         elif kind == "amount":
-            plain = plain._replace(amount=_AMOUNTS[value])
+            plain = plain._replace(amount=float(value))
         elif kind == "to":
             first, second = value.split("-")
             ways.add(first)

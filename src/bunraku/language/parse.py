@@ -12,6 +12,7 @@ from bunraku.language import clauses as split
 from bunraku.language.clauses import subject_of, with_subject
 from bunraku.language.interactions import interaction_of, says_more, with_names
 from bunraku.language.lexicon import (
+    LIMB_CUES,
     Otherwise,
     actions_of,
     cues_of,
@@ -29,9 +30,6 @@ from bunraku.language.understood import check_understood
 
 if TYPE_CHECKING:
     from bunraku.language.reader import Frame
-
-_STANCES = {"sit": "seat", "kneel": "kneel", "both knees": "both knees", "lie": "back", "squat": "squat"}
-"""The `Stance` after an action."""
 
 
 def parse(prompt: str, seconds: float | None = None, force: bool = False) -> Sentence:
@@ -118,6 +116,7 @@ def _homeward(texts: Sequence[str]) -> list[str]:
 def _with_stances(clauses: Iterable[Clause]) -> Iterator[Clause]:
     """Clauses in a row with the stance that the body has by then: after "sits down" it claps sitting."""
     stance: Stance | None = None
+    stances = lexicon().reading["stances"]
     for clause in clauses:
         detail = clause.detail
         if isinstance(detail, Posing):
@@ -127,7 +126,7 @@ def _with_stances(clauses: Iterable[Clause]) -> Iterator[Clause]:
         elif clause.actions:
             acts = [lexicon().actions[action] for action in clause.actions]
             like = [name for action, row in zip(clause.actions, acts, strict=True) for name in (action, row.like)]
-            down = next((_STANCES[name] for name in reversed(like) if name in _STANCES), "")
+            down = next((stances[name] for name in reversed(like) if name in stances), "")
             of_legs = any(row.part in ("", "legs") for row in acts)
             if clause.stance is None:
                 if stance is not None and not down and not of_legs:
@@ -193,7 +192,7 @@ def _clause(text: str, seconds: float, voices: tuple[Clause, ...] = (), parts: t
     )  # fmt: skip
 
 
-_CHOICES = tuple(map(cues_of, ("direction", "turn side", "degrees", "speed")))
+_CHOICES = tuple(map(cues_of, ("direction", "turn side", "degrees", "speed", "count")))
 """Cues of one kind: what the network reads counts, and where it reads none, the words."""
 
 
@@ -202,12 +201,8 @@ def _with_fields(cues: frozenset[str], frames: Sequence[Frame]) -> frozenset[str
     cues -= frozenset(f"{frame.fields['side']} go" for frame in frames if _limb(frame))
     read = frozenset[str]().union(*(frame.cues - ways if _stays(frame) else frame.cues for frame in frames))
     taken = [read & choice or cues & choice for choice in _CHOICES]
-    limbs = cues & _LIMBS or frozenset(filter(None, map(_limb, frames)))
+    limbs = cues & LIMB_CUES or frozenset(filter(None, map(_limb, frames)))
     return cues.difference(*_CHOICES).union(*taken, limbs)
-
-
-_LIMBS = frozenset(("left arm", "right arm", "left leg", "right leg"))
-"""Cues for the limb of a side."""
 
 
 def _limb(frame: Frame) -> str:
@@ -220,8 +215,7 @@ def _limb(frame: Frame) -> str:
 def _meanwhile(frame: Frame) -> str:
     """The stance in which something is done that is not the posture itself; "" where nothing is said of it."""
     posture = frame.fields.get("posture", "") or lexicon().actions[frame.action].posture
-    stances = {"sitting": "seat", "kneeling": "kneel", "lying": "back", "crouching": "squat"}
-    return stances.get(posture, "") * _stays(frame)
+    return str(lexicon().reading["stances"].get(posture, "")) * _stays(frame)
 
 
 def _stays(frame: Frame) -> bool:
@@ -229,37 +223,33 @@ def _stays(frame: Frame) -> bool:
     return "arms" in lexicon().actions[frame.action].part
 
 
-_TURNS = {"turn around": "180", "spin": "over", "circle": "over"}
-"""How far actions that are nothing but turns go where nothing more is said of it."""
-_DEGREES = {
-    "45": (20, 90), "90": (50, 130), "?": (50, 130), "135": (90, 180), "180": (145, 215), "360": (290, 430),
-    "over": (250, math.inf),
-}  # fmt: skip
-"""Least and most angle of a turn that is said to go so far [degrees], chosen by eye."""
+TURN, OVER, SLACK = 90.0, 250.0, (40.0, 0.2)
+"""How far a turn goes of which nothing more is said, and a spin at the least; and by how much a turn may miss what is
+said of it, at the least and as a share of it, but not by more than half of it. All were chosen by eye [degrees].
+"""
 
 
 def _turn(frames: Sequence[Frame]) -> Turn | None:
     """How far the body turns; None where nothing of the kind is said, or both sides are."""
-    rows, plain = lexicon().actions, ("turn", *_TURNS)
+    rows, plain = lexicon().actions, ("turn", "turn around", "spin", "circle")
     named = [frame for frame in frames if frame.action in plain or not rows[frame.action].turns]
     turns = [frame for frame in named if "turn side" in frame.fields or frame.action in plain]
     sides = {frame.fields.get("turn side", "?") for frame in turns}
     if not turns or {"left", "right"} <= sides:
         return None
-    said = turns[0].fields.get("degrees", "?")
-    degrees = said if said != "?" else _TURNS.get(turns[0].action, "?")
-    if turns[0].action in ("spin", "circle") and said in ("?", "360"):
-        degrees = "over"
-    least, most = map(math.radians, _DEGREES[degrees])
-    return Turn(int("left" in sides) - int("right" in sides), least, most)
+    said, action = turns[0].fields.get("degrees", "?"), turns[0].action
+    least, most = OVER, math.inf
+    if action not in ("spin", "circle") or said not in ("?", "360"):
+        degrees = float(said) if said != "?" else 2 * TURN if action == "turn around" else TURN
+        slack = max(SLACK[0], SLACK[1] * degrees)
+        least, most = max(degrees - slack, degrees / 2), degrees + slack
+    return Turn(int("left" in sides) - int("right" in sides), math.radians(least), math.radians(most))
 
 
-KINDS = ("person", "two legs", "four legs", "many legs", "no legs", "snake", "fish", "bird in flight")
-"""What bodies stand and move with: arms and two legs, legs alone, none; a long tail on the ground, one in water, wings
-alone.
-"""
-INSTEAD = {"snake": "slithers", "fish": "swims", "no legs": "hops", "bird in flight": "flies"}
-"""What bodies without legs do where a sentence says walk."""
+def instead_of_walking(kind: str) -> str:
+    """What a body without legs does where a sentence says walk; "" for one that has legs."""
+    row = _row("walk", kind)
+    return row.verb if row else "hops" * (kind == "no legs")
 
 
 def for_body(sentence: Sentence, kind: str, parts: Collection[str] = (), as_people: bool = True) -> Sentence:
@@ -270,7 +260,9 @@ def for_body(sentence: Sentence, kind: str, parts: Collection[str] = (), as_peop
 
     Args:
         sentence: From `parse`.
-        kind: One of `KINDS`.
+        kind: What the body stands and moves with: arms and two legs ("person"), legs alone ("two legs", "four legs",
+            "many legs"), none ("no legs"), a long tail on the ground ("snake"), one in water ("fish"), wings alone
+            ("bird in flight").
         parts: What the body has of "arms", "forelegs" (arms that it stands on) and "wings".
         as_people: Whether it moves as people do.
     """
@@ -329,8 +321,9 @@ def _of_creature(clause: Clause) -> str:
 def _in_vain(clause: Clause, kind: str, parts: Collection[str]) -> str:
     """What a clause requests that a body cannot do; "" for nothing."""
     row, note = _row(clause.locomotion, kind), ""
-    if kind in INSTEAD and (clause.part == "legs" or clause.locomotion in ("walk", "run")):
-        note = f"'{{clause}}' moves legs, and none are found on this body; it {INSTEAD[kind]} instead"
+    instead = instead_of_walking(kind)
+    if instead and (clause.part == "legs" or clause.locomotion in ("walk", "run")):
+        note = f"'{{clause}}' moves legs, and none are found on this body; it {instead} instead"
     elif clause.part == "arms" and "forelegs" in parts:
         note = "'{clause}' moves arms, and this body stands on them; it lifts a foreleg shortly, if at all"
     elif clause.part == "arms" and not {"arms", "wings"} & set(parts):

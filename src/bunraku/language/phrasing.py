@@ -13,8 +13,6 @@ MOST = 99
 """How often something is done at the most."""
 _OBJECT = 3
 """Words after a verb that says where a part of the body is among which the part is."""
-_LIMBS = {"arms": ("arm", "hand"), "legs": ("leg", "foot"), "head": ("head",)}
-"""Words for the limbs of a part of the body."""
 
 
 def count_of(text: str) -> int | None:
@@ -63,8 +61,9 @@ def _limbs(action: str) -> frozenset[str]:
     is a pose of its own.
     """
     row = lexicon().actions[action]
-    moved = [words for part, words in _LIMBS.items() if part in row.part and (row.gesture or part == "arms")]
-    return frozenset(stems(word for words in moved for word in words))
+    moved = [part for part in ("arm", "leg", "head") if part in row.part and (row.gesture or part == "arm")]
+    patterns = [pattern for part in moved for pattern in lexicon().posing.of("posing", f"part {part}")]
+    return frozenset(stems(word for pattern in patterns for words in filter(None, pattern.words) for word in words))
 
 
 def added_words(text: str, actions: Sequence[str]) -> tuple[str, ...]:

@@ -14,11 +14,6 @@ from typing import NamedTuple
 from bunraku.language.lexicon import actions_of, lexicon, said_phrases, words_of
 from bunraku.language.limb_phrases import LIMBS, OTHER, Phrase, Target, participle, phrases_of, segments_of, targets_of
 
-_LEGS = frozenset(("leg", "knee", "heel"))
-_LOW = frozenset(("knee", "leg", "heel", "floor", "buttocks"))
-"""Places that hands reach with the help of the whole body."""
-_PARTS = {"head": "head", "trunk": "upper body", "shoulders": "arms"}
-
 
 class Step(NamedTuple):
     """What limbs do at a time."""
@@ -73,7 +68,8 @@ class Posing:
         found: dict[str, None] = {}
         for target in self.targets:
             arm = f"{target.side} arm" if target.side in OTHER else "arms"
-            found[arm if target.limb in ("arm", "elbow") else _PARTS.get(target.limb, "lower body")] = None
+            named = {"arm": arm, "head": "head", "trunk": "upper body", "shoulders": "arms"}
+            found[named.get(target.whole, "lower body")] = None
         return tuple(found)
 
 
@@ -185,9 +181,8 @@ class _Reader:
 
     def _legs_stay(self, phrases: Sequence[Phrase], kinds: AbstractSet[str]) -> bool:
         """Whether phrases say that legs stay where they are, or that something else is all that moves."""
-        parts = {LIMBS.get(one.value, "") for one in phrases if one.kind == "part"}
-        legs = parts & {*_LEGS, ""}
-        if not parts or (parts - _LEGS if "still" in kinds else legs):
+        parts = {Target(LIMBS.get(one.value, "")).whole for one in phrases if one.kind == "part"}
+        if not parts or (parts - {"leg"} if "still" in kinds else parts & {"leg", ""}):
             return False
         self.held.append(Target("leg", "both", frozenset(["still"])))
         return True
@@ -278,8 +273,8 @@ def _free(rest: str, posing: Posing) -> bool:
         return False
     for one in posing.targets:
         loose = one.limb in ("arm", "elbow") and one.ways <= {"bent", "straight"} and not (one.at or one.to)
-        moves_legs = one.limb in {*_LEGS, "hips"} and "still" not in one.ways
-        if loose or moves_legs or one.at in _LOW or one.to & {"ahead", "back"}:
+        moves_legs = one.whole in ("leg", "hips") and "still" not in one.ways
+        if loose or moves_legs or one.low is not None or one.to & {"ahead", "back"}:
             return False
     if any(one.limb == "trunk" for step in posing.steps for one in step.targets):
         return False

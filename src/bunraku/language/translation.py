@@ -9,12 +9,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from bunraku.language.captions import conjugate
-from bunraku.language.foreign_words import scan_spaced, scan_unspaced
+from bunraku.language.foreign_words import listed, scan_spaced, scan_unspaced
 from bunraku.language.lexicon import actions_of, goes_ahead, lexicon
 from bunraku.language.vocabulary import words_of
 from bunraku.language.word_table import Concept, table
-
-_NAMES = ("", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
 
 
 @dataclass
@@ -34,7 +32,11 @@ def clauses_of(concepts: Sequence[Concept], language: str) -> list[VerbPhrase]:
         concepts: What a scan found.
         language: "de", "fr", "es", "ja" or "zh".
     """
-    words = [concept for concept in concepts if concept.kind not in ("ignored", "unknown") or concept.value in _MARKERS]
+    words = [
+        concept
+        for concept in concepts
+        if concept.kind not in ("ignored", "unknown") or concept.value in listed("markers")
+    ]
     words = _parts(_measures(words), part_first=language in ("fr", "es"))
     return _ordered(_clauses(words, language), asian=language in ("ja", "zh"))
 
@@ -49,10 +51,6 @@ def with_article(noun: str) -> str:
     return ("an " if noun[0] in "aeiou" else "a ") + noun
 
 
-_MARKERS = frozenset("用把将在向往朝")
-"""Chinese words before what belongs to the verb after it."""
-
-
 def _measures(words: Sequence[Concept]) -> list[Concept]:
     """Numbers with what they count: "three steps", "twice", "90 degrees"; sides said of one part as "both"."""
     concepts: list[Concept] = []
@@ -60,7 +58,7 @@ def _measures(words: Sequence[Concept]) -> list[Concept]:
     while index < len(words):
         word = words[index]
         after = words[index + 1] if index + 1 < len(words) else None
-        if word.kind == "times":
+        if word.kind == "time":
             word = replace(word, kind="count", value=_measure(word.value.split()[0], "times"))
         elif word.kind == "number" and after and after.kind == "unit":
             kind = "count" if after.value in ("times", "turns") else after.value
@@ -83,7 +81,7 @@ def _measures(words: Sequence[Concept]) -> list[Concept]:
 
 
 def _measure(number: str, unit: str) -> str:
-    name = _NAMES[int(number)] if number.isdigit() and 0 < int(number) < len(_NAMES) else number
+    name = {str(count): word for word, count in lexicon().numbers.items()}.get(number, number)
     if unit in ("times", "turns"):
         return {"1": "once", "2": "twice"}.get(number) or f"{name} times"
     if unit == "steps":
@@ -95,7 +93,11 @@ def _parts(words: Sequence[Concept], part_first: bool) -> list[Concept]:
     """Sides joined with their parts: "the left hand"; a side alone is a direction."""
     items: list[Concept] = []
     skip: set[int] = set()
-    kinds = {index: word for index, word in enumerate(words) if not (word.kind == "number" or word.value in _MARKERS)}
+    kinds = {
+        index: word
+        for index, word in enumerate(words)
+        if not (word.kind == "number" or word.value in listed("markers"))
+    }
     for index, word in enumerate(words):
         if word.kind != "side":
             continue
@@ -263,7 +265,6 @@ def _ordered(clauses: list[VerbPhrase], asian: bool) -> list[VerbPhrase]:
 
 
 _SLOT = re.compile(r"<([^>]*)>")
-_SIDEWAYS = ("to the left", "to the right")
 
 
 def english_sentence(concepts: Sequence[Concept], language: str) -> str:
@@ -308,7 +309,9 @@ def _phrase(clause: VerbPhrase) -> str:
     if steps and (not verb or head_of(verb) == "step"):  # "takes three steps back"
         verb = f"{{take}} {steps.value}{verb.replace('{step}', '').rstrip()}"
         items.remove(steps)
-    if verb.startswith("{turn} around") and any(item.kind == "degrees" or item.value in _SIDEWAYS for item in items):
+    if verb.startswith("{turn} around") and any(
+        item.kind == "degrees" or item.value.endswith((" left", " right")) for item in items
+    ):
         verb = "{turn}"
     head, slot = head_of(verb), _SLOT.search(verb)
     given = None
@@ -364,8 +367,9 @@ def _said(item: Concept, verb: str, head: str, slot: bool) -> tuple[float, str]:
     if item.kind == "likeness":
         return 4, f"like {with_article(item.value.split('/')[0])}"
     if item.kind == "direction":
-        value = item.value.removeprefix("to the ") if item.value in _SIDEWAYS and head == "turn" else item.value
-        double = (value == "backward" and "back" in words) or value.split()[-1] in words or (head, value) in _DOUBLE
+        sided = head == "turn" and item.value.endswith((" left", " right"))
+        value = item.value.removeprefix("to the ") if sided else item.value
+        double = (value == "backward" and "back" in words) or value.split()[-1] in words
         return 3, "" if double else value
     order = {"steps": 0, "degrees": 3.5, "manner": 4, "count": 5, "seconds": 6}.get(item.kind)
     return (order, item.value) if order is not None and item.value not in words else (9, "")
@@ -374,9 +378,6 @@ def _said(item: Concept, verb: str, head: str, slot: bool) -> tuple[float, str]:
 @functools.cache
 def _body() -> frozenset[str]:
     return frozenset(name for row in table()["parts"] for name in row["en"].split("/"))
-
-
-_DOUBLE = {("raise", "up"), ("lower", "down"), ("lift", "up"), ("climb", "up"), ("sit", "down"), ("fall", "down")}
 
 
 def _sided(item: Concept) -> bool:

@@ -26,19 +26,13 @@ LANGUAGES = {"de": "German", "fr": "French", "es": "Spanish", "ja": "Japanese", 
 class Concept:
     """One word of the table in a sentence."""
 
-    # "verb", "part", "side", "direction", "manner", "number", "unit", "times", "being", "noun", a connector ("then",
+    # "verb", "part", "side", "direction", "manner", "number", "unit", "time", "being", "noun", a connector ("then",
     # "and", "while", "before", "after", "first", "like"), "comma", "stop", "ignored" or "unknown"
     kind: str
     value: str  # in English, as the table has it; of "unknown" the word itself
     start: int  # of its first letter in the sentence
     stop: int  # after its last letter
     mark: str = ""  # how it is inflected, where that matters: "plural", "gerund", "infinitive", "te" or "plain"
-
-
-_KINDS = {
-    "verbs": "verb", "parts": "part", "sides": "side", "directions": "direction", "manners": "manner",
-    "numbers": "number", "units": "unit", "times": "times", "beings": "being", "nouns": "noun",
-}  # fmt: skip
 
 
 def table() -> dict[str, list[dict[str, str]]]:
@@ -54,7 +48,7 @@ def forms(language: str, fold: Callable[[str], str] = str) -> list[tuple[str, st
         fold: What is done to the forms of a row.
     """
     return [
-        (form, _KINDS.get(section, section), row["en"], index)
+        (form, section.removesuffix("s"), row["en"], index)
         for section, rows in table().items()
         for row in rows
         for index, form in enumerate(fold(row.get(language, "")).split(", "))

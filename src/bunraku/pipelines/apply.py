@@ -19,7 +19,7 @@ from bunraku.core.motion import HandleMotion
 from bunraku.core.request import Constraint, Progress
 from bunraku.core.travel import GroundPath, bent_to_path, follow
 from bunraku.core.travel import in_place as in_place_motion
-from bunraku.language.parse import INSTEAD, for_body
+from bunraku.language.parse import for_body, instead_of_walking
 from bunraku.language.sentence import Sentence
 from bunraku.pipelines.requests import Constraints
 from bunraku.retarget.fit import Stages, fit_motion
@@ -189,7 +189,7 @@ def _cannot(plan: BodyPlan, parts: list[str]) -> list[str]:
     out = []
     if not plan.legs:
         seen = "its legs do not stand on the ground" if {"left leg", "right leg"} & set(parts) else "no legs are found"
-        out.append(f"{seen}: where a sentence says walk or run, it {INSTEAD[body_kind(plan)]} instead")
+        out.append(f"{seen}: where a sentence says walk or run, it {instead_of_walking(body_kind(plan))} instead")
     if plan.front:
         out.append("it stands on its forelegs: where a sentence says wave, clap or hold, it hardly lifts them")
     elif not plan.arms and not plan.wings:
