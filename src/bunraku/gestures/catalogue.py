@@ -32,6 +32,7 @@ from bunraku.gestures.pose import (
     through,
     vector,
 )
+from bunraku.language.lexicon import Phrases, longest_pattern, words_of
 
 FILE = Path(__file__).with_name("gestures.toml")
 _SECTION = re.compile(r"^(?=\[)", re.MULTILINE)
@@ -290,24 +291,16 @@ class Part(NamedTuple):
 
 def part_in(text: str) -> Part | None:
     """The part of the body that a text names with the most words; None for none that a hand reaches."""
-    words = re.findall(r"[a-z]+", text.lower())
-    parts = [
-        Part(name, tuple(words[start : start + len(phrase)]))
-        for name, phrase in _phrases()
-        for start in range(len(words) - len(phrase) + 1)
-        if all(word in choice for word, choice in zip(words[start:], phrase, strict=False))
-    ]
+    words = words_of(text)[0]
+    found = [(at, longest_pattern(_phrases().starting(word), words, at)) for at, word in enumerate(words)]
+    parts = [Part(phrase[0].name, tuple(words[at : phrase[1]])) for at, phrase in found if phrase]
     return max(parts, key=lambda one: len(one.words), default=None)
 
 
 @functools.cache
-def _phrases() -> tuple[tuple[str, tuple[frozenset[str], ...]], ...]:
-    """The phrases of all parts: at each place the words that may stand there."""
-    return tuple(
-        (name, tuple(frozenset(choice.split("/")) for choice in phrase.split()))
-        for name, (phrases, _) in read_parts().items()
-        for phrase in phrases.split(", ")
-    )
+def _phrases() -> Phrases:
+    """The phrases of all parts."""
+    return Phrases([("parts", name, said.split(", ")) for name, (said, _) in read_parts().items()], {})
 
 
 @functools.lru_cache(maxsize=64)
