@@ -141,8 +141,8 @@ NAME = "handle"
 THERE, STAYS, BACK = 0.9, 0.35, 0.85
 """Seconds from the place before, that hands are there, and from the last place to standing."""
 STOOP, SLOWER = 0.9, 0.5
-"""Height of a place for which nobody bends down [m], and how much longer it takes to bend down to a lower one, or to
-get up [s/m].
+"""Height of a place that is reached without bending [m], and how much longer it takes to bend down to a lower one, or
+to get up [s/m].
 """
 
 
