@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import bunraku
-from bunraku.anatomy.anatomy import Anatomy
+from bunraku.anatomy.anatomy import Anatomy, reference_anatomy
 from bunraku.anatomy.joints import attach_joints
 from bunraku.anatomy.legs import BodyPlan, check_plans
 from bunraku.anatomy.names.bone_names import handle_of_joints
@@ -23,7 +23,7 @@ from bunraku.files.samples import sample_character
 from bunraku.pipelines.to_reference import creature_motion
 from bunraku.retarget.creatures import find_limbs, find_stance
 from bunraku.retarget.fit import Stages, fit_motion
-from bunraku.retarget.locomotion import BEATS, HOVER, TILT, moved_so, wing_swing, wings_carry
+from bunraku.retarget.locomotion import BEATS, HOVER, ROLLS, moved_so, wing_swing
 from bunraku.retarget.rig_parts import RigParts
 from bunraku_lab.evaluation.transfer.quadrupeds import captured_animal
 from bunraku_lab.synthetic.families import EVALUATION_SEED, code_made_character
@@ -328,8 +328,7 @@ def test_what_flies_does_not_fall_over(dragon):
     motion = replace(turned(matrix_from_axis_angle(falls), "left_wing"), root_rotation=matrix_from_axis_angle(falls))
     flown = moved_so(motion, "fly", EVERY, Anatomy.of(dragon.character, dragon.handles))
     up = flown.root_rotation[:, 1, 1]  # of the body's own up
-    assert np.degrees(np.arccos(up.min())) == pytest.approx(np.degrees(TILT), abs=1)
-    assert not wings_carry(motion) and wings_carry(flown)  # a wing that is moved once does not beat
+    assert np.arccos(up.min()) < ROLLS + 0.02
 
 
 def test_flight_ends_where_a_clause_ends(dragon):
@@ -341,11 +340,12 @@ def test_flight_ends_where_a_clause_ends(dragon):
 
 def test_a_wave_runs_along_what_slithers_and_it_gets_ahead(snake):
     moved = moved_so(still(), "slither", EVERY, Anatomy.of(snake.character, snake.handles))
-    assert moved.root_translation[-1, 2] > 0.5 and np.abs(moved.root_translation[:, :2]).max() < 1e-6
-    fitted = fit_motion(moved, Anatomy.of(snake.character, snake.handles), Stages(smooth=False))
-    tail = part(snake, fitted, "tail")
     length = np.ptp(snake.character.vertices[:, 2])
-    assert np.ptp(tail[:, 0]) > 0.03 * length and np.ptp(tail[:, 1]) < 0.02 * length
+    assert moved.root_translation[-1, 2] > 0.5 and np.abs(moved.root_translation[:, 1]).max() < 1e-6
+    fitted = fit_motion(moved, Anatomy.of(snake.character, snake.handles), Stages(smooth=False))
+    tail, head = (part(snake, fitted, name)[:, 0] for name in ("tail", "head"))
+    assert np.ptp(tail) > 0.03 * length and np.ptp(part(snake, fitted, "tail")[:, 1]) < 0.02 * length
+    assert np.abs(np.correlate(tail - tail.mean(), head - head.mean(), "same")).argmax() != FRAMES // 2  # one follows
 
 
 def test_what_swims_is_level_and_travels_by_its_length(snake):
@@ -355,22 +355,23 @@ def test_what_swims_is_level_and_travels_by_its_length(snake):
     moved = moved_so(
         replace(turned(prone.transpose(0, 2, 1), "neck", "head"), root_rotation=prone), "swim", EVERY, body
     )
-    assert np.degrees(np.arccos(moved.root_rotation[:, 2, 2].min())) < 5
+    assert np.degrees(np.arcsin(np.abs(moved.root_rotation[:, 1, 2].mean()))) < 5  # its tail is flat
     fitted = fit_motion(moved, body, Stages(smooth=False))
     length = np.ptp(snake.character.vertices[:, 2])
     travelled = fitted.root_translation[-1, 2] - fitted.root_translation[0, 2]
-    assert 0.4 * length < travelled / (FRAMES / moved.fps) < 0.6 * length
+    assert 0.5 * length < travelled / (FRAMES / moved.fps) < 0.7 * length
     posed = part(snake, fitted, "head") - part(snake, fitted, "tail")
-    assert np.degrees(np.abs(np.arctan2(posed[:, 1], posed[:, 2]))).max() < 15
+    assert np.degrees(np.abs(np.arctan2(posed[:, 1], posed[:, 2]).mean())) < 15
 
 
 def test_what_travels_far_enough_keeps_its_way(snake):
     turned = replace(still(), root_rotation=np.tile(matrix_y(np.array(np.pi / 2)), (FRAMES, 1, 1)))
-    path = np.linspace([0, 0, 0], [6.0, 0, 0], FRAMES)
+    path = np.linspace([0, 0, 0], [40.0, 0, 0], FRAMES)
     moved = moved_so(
         replace(turned, root_translation=path), "slither", EVERY, Anatomy.of(snake.character, snake.handles)
     )
-    np.testing.assert_allclose(moved.root_translation, path, atol=1e-6)
+    np.testing.assert_allclose(moved.root_translation[:, [0, 1]], path[:, [0, 1]], atol=1e-6)
+    assert 0 < np.abs(moved.root_translation[:, 2]).max() < 1.5  # it sways with the wave
 
 
 def lows(parts, motion: HandleMotion) -> np.ndarray:
@@ -408,14 +409,34 @@ def test_a_jump_stays_a_jump_and_a_walk_has_none(dragon, way, kept):
     assert (high > 0.15) == kept
 
 
+def squeezed(legs: float) -> Anatomy:
+    """The reference body on shorter legs."""
+    body = reference_anatomy()
+    hips = body.handles.positions[0, 1]
+
+    def put(points: np.ndarray) -> np.ndarray:
+        x, y, z = points.T
+        return np.stack([x, np.where(y > hips, y - (1 - legs) * hips, legs * y), z], axis=1).astype(np.float32)
+
+    character = replace(body.character, vertices=put(body.character.vertices))
+    return Anatomy.of(character, replace(body.handles, positions=put(body.handles.positions)))
+
+
+def test_a_body_on_short_legs_leaps_by_its_own_height():
+    jump = replace(lifted(0.3, slice(20, 34)), own_height=False)
+    heights = []
+    for body in (reference_anatomy(), squeezed(0.3)):
+        fitted = fit_motion(jump, body, Stages(smooth=False))
+        heights.append(Animation(body.character, body.handles, fitted).vertices()[..., 1].min(axis=1).max())
+        heights[-1] /= body.character.height
+    assert heights[1] > 0.7 * heights[0]
+
+
 def test_a_tail_that_a_tilted_trunk_holds_up_is_lowered(dragon):
     tilt = matrix_from_axis_angle(np.array([np.radians(50), 0, 0]))
     leans = replace(still(), root_rotation=np.tile(tilt, (FRAMES, 1, 1)))
-    moved = moved_so(leans, "step", EVERY, Anatomy.of(dragon.character, dragon.handles))
-    tips = [
-        part(dragon, fit_motion(one, Anatomy.of(dragon.character, dragon.handles)), "tail_tip")[:, 1].mean()
-        for one in (leans, moved)
-    ]
+    body = Anatomy.of(dragon.character, dragon.handles)
+    tips = [part(dragon, fit_motion(leans, body, Stages(tail=on)), "tail_tip")[:, 1].mean() for on in (False, True)]
     assert tips[1] < tips[0] - 0.03 * dragon.character.height
 
 

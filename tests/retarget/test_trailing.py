@@ -100,6 +100,7 @@ def test_the_root_of_an_ear_stays_where_it_is(eared):
 
 
 FPS, FRAMES = 20.0, 60
+LEVEL = np.tile(np.eye(3), (FRAMES, 1, 1))
 TAIL, TIP = HANDLE_NAMES.index("tail"), HANDLE_NAMES.index("tail_tip")
 
 
@@ -137,14 +138,14 @@ def lifted(angles: np.ndarray) -> np.ndarray:
 )
 def test_a_tail_is_held_no_higher_than_it_rests_or_streams(rest, raised, expected):
     handles, joints = body(rest)
-    found = Tail().lowered(lifted(np.full(FRAMES, np.radians(raised))), handles, joints, FPS)
+    found = Tail().lowered(lifted(np.full(FRAMES, np.radians(raised))), handles, joints, FPS, LEVEL)
     np.testing.assert_allclose(np.degrees(pitch(found, rest)), expected, atol=1e-6)
 
 
 def test_a_tail_still_wags():
     handles, joints = body(0.0)
     swing = 0.3 * np.sin(2 * np.pi * 2 * np.arange(FRAMES) / FPS)
-    found = pitch(Tail().lowered(lifted(np.radians(80) + swing), handles, joints, FPS), 0.0)
+    found = pitch(Tail().lowered(lifted(np.radians(80) + swing), handles, joints, FPS, LEVEL), 0.0)
     assert found[10:50].mean() == pytest.approx(Tail().highest, abs=0.03)
     assert np.ptp(found[10:50]) == pytest.approx(np.ptp(swing), rel=0.05)
 

@@ -78,6 +78,9 @@ def decimated(character: Character, handles: Handles) -> tuple[Character, Handle
     return light, Handles(handles.positions, shares, handles.features, handles.roles, handles.rigid)
 
 
+SHORT = 0.75
+"""Legs are short that are less than this share of a person's, for the body's height: of 21 people and avatars with
+people's proportions none had shorter ones."""
 _FRONT = ("neck", "head", "head_top", "face")
 _TAIL = ("tail", "tail_tip")
 
@@ -291,6 +294,12 @@ class Anatomy:
         return stride_scale(*self.stance, self.stands)
 
     @cached_property
+    def leap(self) -> float:
+        """Height of its leaps over the reference body's: as its legs are, or as its whole body where they are short."""
+        size = self.mesh.height / reference_anatomy().mesh.height
+        return max(self.scale, min(2 * SHORT * size - self.scale, size))
+
+    @cached_property
     def floor(self) -> float:
         """Height of the ground that the rest pose stands on [m]."""
         return float(self.mesh.vertices[self.stands, 1].min())
@@ -309,6 +318,12 @@ class Anatomy:
     def front(self) -> np.ndarray:
         """Extreme vertices of the neck and the head, shape (n,); none where there are hardly any."""
         return self._extremes(_FRONT)
+
+    @cached_property
+    def muzzle(self) -> int:
+        """The foremost vertex of the head, or of a body that is all head."""
+        front = self.front if len(self.front) else np.flatnonzero(self.mesh.surface)
+        return int(front[self.mesh.vertices[front, 2].argmax()])
 
     @cached_property
     def tail(self) -> np.ndarray:

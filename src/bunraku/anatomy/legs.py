@@ -197,11 +197,8 @@ def _move_foot(
     along = (thigh**2 - shin**2 + reach**2) / (2 * reach)
     out = np.sqrt(np.maximum(thigh**2 - along**2, 0))[:, None]
     more = out - np.linalg.norm(aside, axis=1, keepdims=True)
-    bent = (
-        hip
-        + toward * along[:, None]
-        + _unit(np.einsum("nij,nj->ni", swing, aside + more * _bend(aside, line, root))) * out
-    )
+    aside = np.einsum("nij,nj->ni", swing, aside + more * _bend(aside, line, root))
+    bent = hip + toward * along[:, None] + _unit(aside) * out
     for handle, pivot, target, before_turn, after_turn in (
         (leg.upper, hip, hip, knee - hip, bent - hip),
         (leg.lower, knee, bent, ankle - knee, goal - bent),
@@ -363,15 +360,10 @@ class BodyPlan:
     @property
     def words(self) -> str:
         """The same in words."""
-        words_of_kind = {
-            "person": "an upright body with arms",
-            "two legs": "a body on two legs",
-            "four legs": "a body on four legs",
-            "many legs": f"a body on {self.legs} legs",
-            "no legs": "a body without legs",
-        }
+        standing = {"no legs": "a body without legs", "many legs": f"a body on {self.legs} legs"}
+        standing |= {"person": "an upright body with arms"}
         more = [name for name, there in (("wings", self.wings), ("a tail", self.tail)) if there]
-        return words_of_kind[self.kind] + (f", with {' and '.join(more)}" if more else "")
+        return standing.get(self.kind, f"a body on {self.kind}") + (f", with {' and '.join(more)}" if more else "")
 
 
 def plan_of(
@@ -388,11 +380,8 @@ def plan_of(
         stands: Whether it is upright.
     """
     uppers = {leg.upper for leg in legs}
-    stiff = [
-        limb
-        for limb in _all_limbs(handles, joints, further)
-        if not uppers & set(limb) and _on_ground(character, handles, limb)
-    ]
+    others = [limb for limb in _all_limbs(handles, joints, further) if not uppers & set(limb)]
+    stiff = [limb for limb in others if _on_ground(character, handles, limb)]
     hind = sum(int(handles.played[leg.upper]) in _HIND for leg in legs)
     itself = joints.present & (handles.played == np.arange(len(handles.positions)))
     arms = _ARMS[::2] if handles.rigid else _ARMS  # an arm of one block has no elbow

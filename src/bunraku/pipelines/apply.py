@@ -47,8 +47,9 @@ def apply_motion(
     after, loop, path = constraints.after, constraints.loop, constraints.path
     before = None if isinstance(after, HandleMotion) else after
     stages = stages or GENERATED_STAGES
-    if before is not None and before.reference is None:  # the way back from it contains the effect of that stage
-        stages = replace(stages, shape=False)
+    # The way back from a clip contains the effect of that stage; hands that are not a person's miss what they touch.
+    shape = stages.shape and (before is None or before.reference is not None)
+    stages = replace(stages, shape=shape, hands=stages.hands or anatomy.leap > anatomy.scale)
     fitted = fitted_motion(motion, anatomy, stages, loop)
     if before is not None:
         fitted = follow(fitted, before.motion)

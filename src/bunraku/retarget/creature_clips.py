@@ -28,6 +28,7 @@ from bunraku.language.captions import caption_table, conjugate
 from bunraku.language.sentence import Sentence
 from bunraku.retarget.creatures import CreatureMotion, motion_of_handles
 from bunraku.retarget.fit import posed
+from bunraku.retarget.locomotion import turning, widened
 from bunraku.retarget.rig_parts import RigParts
 from bunraku.retarget.stages.feet import Feet, foot_motion
 from bunraku.retarget.stages.stage import sole_points
@@ -60,6 +61,9 @@ NAMED, ALIKE = 2.0, 1.0
 """What it counts that a clip is of the animal that is named, or of one like it, against a body e times as long for its
 height; chosen by eye on sheets."""
 LESS = 0.3  # what each place counts by which an action stands behind the one that is asked for; chosen by eye
+TURNS = "turn", "turn left", "turn right"
+"""Actions that bodies do by a walk on a bow."""
+REACHES = 1.3  # how far the mouth is from the shoulder at the most, over the arm's length; chosen by eye on goblins
 _MOVES = (("stay", "lie", ""), ("step", "run"))  # how a body moves for which clips are looked up; steps last
 GOALS = "eat", "attack", "death"  # what a body does as a whole, with or without a clip (`locomotion.reached`)
 SPREAD = 0.2  # scale of the Gumbel numbers that make seeds differ; chosen by eye
@@ -136,8 +140,7 @@ def read_clips(path: Path) -> tuple[CreatureClip, ...]:
     with fitting_config(path):
         data, start, clips = state["data"].tobytes(), 0, []
         for animal, action, body, length, slope, frames, size in config["clips"]:
-            piece = data[start : start + int(size)]
-            shape = float(length), float(slope)
+            piece, shape = data[start : start + int(size)], (float(length), float(slope))
             clips.append(CreatureClip(str(animal), str(action), str(body), shape, int(frames), piece))
             start += int(size)
         if start != len(data):
@@ -269,10 +272,12 @@ def creature_motion(
     plan = anatomy.plan
     for clause in sentence.clauses:
         action = creature_action(clause.text)
-        if clause.moves not in _MOVES[action in GAITS] or clause.turn is not None or clause.cues - {"forward", *HURRY}:
+        said = frozenset() if action in TURNS else clause.cues - {"forward", *HURRY}
+        if clause.moves not in _MOVES[action in GAITS] or said or (clause.turn is None) == (action in TURNS):
             return None
         shown = shown_by().get(action, [])
-        goal = next((name for name in GOALS if name in shown), "") if plan.kind != "person" or plan.wings else ""
+        goals_of = GOALS if plan.kind != "person" or plan.wings else () if _feeds_itself(anatomy) else GOALS[:2]
+        goal = next((name for name in goals_of if name in shown), "")
         if not goal and plan.upright:  # it steps as people do
             return None
         frames, stiff = max(round(clause.seconds * FPS), 1), not plan.legs and (plan.upright or plan.wings)
@@ -290,6 +295,9 @@ def creature_motion(
         elif clip.action in GAITS:
             hurry = [factor for cue, factor in HURRY.items() if cue in clause.cues]
             part = _stepping(clip, frames, random.uniform(*PACES) * float(np.prod(hurry)), random, anatomy)
+            if clause.turn is not None:
+                side = clause.turn.side or random.choice([-1, 1])
+                part = turning(part[0], side * (clause.turn.least + clause.turn.most) / 2), part[1]
         else:
             part = _lasting(clip, frames, random)
         taken = part if taken is None else _followed(*taken, *part)
@@ -322,9 +330,8 @@ def _lasting(clip: CreatureClip, frames: int, random: np.random.Generator) -> tu
 
     def once() -> tuple[HandleMotion, np.ndarray]:
         paced = resample(motion, FPS / random.uniform(*PACES))
-        return replace(paced, fps=FPS), np.interp(
-            np.linspace(0, 1, len(paced)), np.linspace(0, 1, len(motion)), heights
-        )
+        at = np.linspace(0, len(motion) - 1, len(paced))
+        return replace(paced, fps=FPS), np.interp(at, np.arange(len(motion)), heights)
 
     whole = once()
     if clip.action == "death":
@@ -346,10 +353,15 @@ def _stepping(
     start = int(random.integers(last))
     more = start + int(frames * pace) + 2
     whole = replace(resample(repeated(motion, 0, more).take(slice(start, None)), FPS / pace), fps=FPS)
-    high = Resampling.of(more + last + 1 - start, FPS, FPS / pace).linear(
-        np.resize(heights[:-1], more + last + 1)[start:]
-    )
-    return _travelled(whole.take(slice(frames)), anatomy), high[:frames]
+    rounds = np.resize(heights[:-1], more + last + 1)[start:]
+    high = Resampling.of(len(rounds), FPS, FPS / pace).linear(rounds)
+    return _travelled(widened(whole.take(slice(frames)), anatomy, np.ones(frames)), anatomy), high[:frames]
+
+
+def _feeds_itself(anatomy: Anatomy) -> bool:
+    """Whether a hand comes to the mouth, with some nodding."""
+    mouth = anatomy.mesh.vertices[anatomy.muzzle]
+    return any(np.linalg.norm(mouth - arm.joints[0]) < REACHES * arm.length for arm in anatomy.arms)
 
 
 def _travelled(motion: HandleMotion, anatomy: Anatomy) -> HandleMotion:

@@ -347,13 +347,13 @@ def fit_body(
             return fit_rig(source, body, stages)
         return Animation(body.character, body.handles, fit_motion(source, body, stages), source)
     check_plans(source.plan, anatomy.plan, anatomy.character.name, source.flies)
-    # which compare with a person
-    stages = replace(stages, rest_pose=False, hands=False)
+    own = isinstance(body, RigParts)
+    # two of which compare with a person
+    stages = replace(stages, rest_pose=False, hands=False, shape=stages.shape and not own)
     # what flies, swims or slides keeps the height of its path
     heights = source.heights if source.plan.legs and not source.flies else None
-    own = isinstance(body, RigParts)
     motion = stiff(source.motion) if own else source.motion
-    fitted = fit_motion(motion, anatomy, replace(stages, shape=stages.shape and not own), heights)
+    fitted = fit_motion(motion, anatomy, stages, heights)
     for goal in source.goals:
         fitted = reached(fitted, anatomy.unturned, *goal)
     if isinstance(body, RigParts):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -26,11 +25,12 @@ from bunraku.core.skinning import skin
 from bunraku.retarget.fit import posed
 from bunraku.retarget.stages.ground import Ground
 from bunraku.retarget.stages.stage import with_feet_moved
-from bunraku.retarget.stages.trailing import Tail
 
-_LYING_LINE = [HANDLE_NAMES.index(name) for name in ("spine1", "spine2", "spine3", "tail", "tail_tip")]
-_FRONT = [HANDLE_NAMES.index(name) for name in ("neck", "head", "head_top", "face")]
-"""Parts that may rise."""
+_TRUNK = [HANDLE_NAMES.index(name) for name in ("spine1", "spine2", "spine3", "neck")]
+_HEAD = [HANDLE_NAMES.index(name) for name in ("head", "face", "head_top")]
+_TAILS = [HANDLE_NAMES.index(name) for name in ("tail", "tail_tip")]
+_DOWN = np.array([0.0, -1.0, 0.0])
+_LINE = [*_TRUNK, *_HEAD, *_TAILS]
 
 
 def laid(motion: HandleMotion, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -43,11 +43,11 @@ def laid(motion: HandleMotion, share: np.ndarray) -> tuple[np.ndarray, np.ndarra
     flat = matrix_slerp(root, facing, share)
     seen = flat.transpose(0, 2, 1) @ root  # what is left of the tilt is for the parts to keep
     rotations = motion.rotations.astype(np.float64).copy()
-    for part in (*_LYING_LINE, *_FRONT):
+    for part in _LINE:
         turned = seen @ rotations[:, part]
         ahead = turned[:, :, 2]
         level = np.asarray(matrix_y(np.arctan2(ahead[:, 0], ahead[:, 2])), np.float64)
-        if part in _FRONT:
+        if part in (_TRUNK[3], *_HEAD):  # they may rise
             up = np.maximum(np.arctan2(ahead[:, 1], np.hypot(ahead[:, 0], ahead[:, 2])), 0)
             level = level @ matrix_from_axis_angle(-up[:, None] * np.array([1.0, 0, 0]))
         rotations[:, part] = matrix_slerp(turned, level, share)
@@ -60,52 +60,28 @@ HOVER = 0.8
 RISE = 0.7  # how long what flies takes up and down where something else follows [s]
 BEAT, SPREAD = 2.2, 0.6  # wing beats in a second, and how far a wing swings up and down [rad]
 BEATS = 0.5  # wings that swing through less than this do not beat [rad]
-LIFTS = 2.5  # nor do wings whose swings are slower than this carry a body [rad/s]; captured ones are at 3.9 to 17
-HELD = 0.4  # what changes more slowly than this is how a wing is held, and no beat [s]
-TILT = np.radians(30)  # a body that flies tilts so far at the most, and no part of its trunk bends farther
 BOB = 0.05  # how far a body sinks and rises with the beats, over the height of its root
-WAVE = {"swim": 1.2, "slither": 0.9}  # waves in a second
-BENT = {"swim": 0.45, "slither": 0.7}  # how far the tip of a tail turns aside [rad]
-BENDS = 0.3  # a tail that swings through less than this does not bend [rad]
-SPEED = {"swim": 0.5, "slither": 0.3, "step": 0.3, "run": 0.6, "fly on": 0.5, "fly fast": 1.0}
+WAVE = {"swim": 1.2, "swim fast": 2.0, "slither": 0.9, "slither fast": 1.5}  # waves in a second
+BENT = {"swim": (0.15, 0.45, 0.8), "slither": (0.6, 0.6, 1.2)}
+"""How far the nose and the end of the tail turn aside [rad], and how many waves a body is long."""
+SPEED = {"swim": 0.6, "swim fast": 1.2, "slither": 0.5, "slither fast": 0.9, "fly on": 0.5, "fly fast": 1.0}
+SPEED |= {"step": 0.3, "run": 0.6}
 """Lengths of the body, along its longest axis, in a second; without legs it hops where others step or run."""
 HOPS = {"step": 1.5, "run": 2.5}  # hops in a second of a body without legs; chosen by eye on a figurine
 HOP = 0.08  # how high they are, over its height; chosen by eye on the same
 LASTS = 1.0
-"""What changes more slowly than this is how a body is held in the water, and no swing [s]. Chosen by eye."""
-ROLLS = np.radians(12)  # how far a body that swims tilts at the most; chosen by eye on a tuna
-STAYS = 0.25  # a motion that gets ahead by less than this share of that is given the speed
-AIR = {"stay": 0.75, "run": 0.2, "step": 0.15, "lie": 0.05, "slither": 0.05}
+"""What changes more slowly than this is how a body is held in water and air, and no swing [s]. Chosen by eye."""
+ROLLS = np.radians(12)  # how far a body that swims or flies tilts at the most; chosen by eye on a tuna
+WIDEST = 1.6  # how much wider the strides of short legs are than a person's at the most; chosen by eye on cubs
+AIR = {"stay": 0.75, "run": 0.2, "step": 0.15, "lie": 0.05, "slither": 0.05, "slither fast": 0.05}
 """How long before and after a frame the ground is touched at the latest [s]; a step always has a foot on it."""
 LEAST = 0.01  # what hovers by less, over the height, is left to the stages of fitting
 _WINGS = [HANDLE_NAMES.index(f"{side}_wing") for side in ("left", "right")]
-_LINE = {"head": -1.2, "neck": -0.9, "spine3": -0.6, "spine2": -0.4, "spine1": -0.2, "tail": 0.9, "tail_tip": 1.7}
-"""Parts along a body, and how far they are behind its middle in the wave [rad]; the size of their turn grows so too."""
-_TAIL = HANDLE_NAMES.index("tail_tip")
-_TRUNK = [HANDLE_NAMES.index(name) for name in ("spine1", "spine2", "spine3", "neck")]
-_HEAD = [HANDLE_NAMES.index(name) for name in ("head", "face", "head_top")]
 
 
 def wing_swing(motion: HandleMotion) -> float:
     """Through which angle the wings of the reference body swing [rad]: 5 of 100 frames are beyond it at either end."""
-    return _range(_wing_turns(motion))
-
-
-def wings_carry(motion: HandleMotion) -> bool:
-    """Whether the wings of the reference body beat, through an angle (`BEATS`) and at a speed (`LIFTS`) that carry it;
-    how they are held (`HELD`) is no beat.
-    """
-    turns = _wing_turns(motion)
-    swings = turns - gaussian(turns, HELD * motion.fps)
-    speed = np.linalg.norm(np.diff(swings, axis=0), axis=-1).mean(axis=0).max() * motion.fps
-    return bool(_range(swings) >= BEATS and speed >= LIFTS)
-
-
-def _wing_turns(motion: HandleMotion) -> np.ndarray:
-    return np.asarray(axis_angle_from_matrix(motion.rotations[:, _WINGS].astype(np.float64)))
-
-
-def _range(turns: np.ndarray) -> float:
+    turns = axis_angle_from_matrix(motion.rotations[:, _WINGS].astype(np.float64))
     low, high = np.quantile(turns, [0.05, 0.95], axis=0)
     return float(np.linalg.norm(high - low, axis=-1).max())
 
@@ -118,21 +94,53 @@ def moved_so(motion: HandleMotion, locomotion: str, where: slice, anatomy: Anato
     frames = np.arange(len(motion))[where]
     if locomotion not in ("fly", *SPEED, *AIR) or len(frames) < 2:
         return motion
-    if locomotion in ("lie", "slither"):
+    if locomotion.startswith(("lie", "slither")):
         turned, root = laid(motion, _amount(len(motion), frames, motion.fps))
         motion = _attached(motion, turned, root_rotation=root)
     if locomotion.startswith("fly"):
         motion = _flown(motion, frames, anatomy, loop)
-        ahead = locomotion in SPEED
-        return replace(motion, root_translation=_travelled(motion, locomotion, frames, anatomy)) if ahead else motion
+        return _travelled(motion, locomotion, frames, anatomy) if locomotion in SPEED else motion
+    if locomotion in HOPS and anatomy.plan.hind == anatomy.plan.legs:
+        motion = widened(motion, anatomy, _amount(len(motion), frames, motion.fps))
+    hen = anatomy.plan.kind == "two legs" and locomotion in HOPS  # which does not lean as a person
+    if hen or (locomotion == "stay" and anatomy.plan.swims):
+        motion = _levelled(motion, _amount(len(motion), frames, motion.fps))
     if locomotion in WAVE:
         motion = _waved(motion, locomotion, frames, anatomy, loop)
     elif not anatomy.plan.legs:
         motion = _upon_base(motion) if anatomy.upright else motion
         if locomotion in SPEED:
-            motion = replace(motion, root_translation=_travelled(motion, locomotion, frames, anatomy))
+            motion = _travelled(motion, locomotion, frames, anatomy)
     motion = _grounded(motion, locomotion, frames, anatomy) if locomotion in AIR else motion
     return motion if anatomy.plan.legs or locomotion not in HOPS else _hopping(motion, locomotion, frames, anatomy)
+
+
+def widened(motion: HandleMotion, anatomy: Anatomy, share: np.ndarray) -> HandleMotion:
+    """The motion with wider strides, by a share (N,) of that, where legs are short for a body, which would hardly be
+    seen and get it nowhere.
+    """
+    wide = min(anatomy.leap / anatomy.scale, WIDEST) - 1
+    if wide <= 0:
+        return motion
+    share = wide * share
+    rotations, path = motion.rotations.astype(np.float64), motion.root_translation.astype(np.float64)
+    for hip, knee, *_ in LEGS:
+        turns = np.asarray(axis_angle_from_matrix(rotations[:, hip]))
+        swing = turns + share[:, None] * (turns - gaussian(turns, LASTS * motion.fps))
+        wider = matrix_from_axis_angle(swing) @ rotations[:, hip].transpose(0, 2, 1)
+        rotations[:, [hip, knee]] = wider[:, None] @ rotations[:, [hip, knee]]
+    path[1:, [0, 2]] += np.cumsum(share[1:, None] * np.diff(path[:, [0, 2]], axis=0), axis=0)
+    strides, body = _attached(motion, rotations, root_translation=path), reference_anatomy()
+    lows = [body.surface_reach.lowest(some.transforms(body.handles.positions)) for some in (motion, strides)]
+    return replace(strides, root_translation=path + (lows[1] - lows[0])[:, None] * _DOWN)
+
+
+def turning(motion: HandleMotion, angle: float) -> HandleMotion:
+    """Steps straight ahead as those in which a body turns by an angle [rad], to its left where that is positive."""
+    turns = np.asarray(matrix_y(angle * smooth_step(np.arange(len(motion)), 0, len(motion) - 1)))
+    steps = np.diff(motion.root_translation.astype(np.float64), axis=0, prepend=0)
+    path = np.cumsum((turns @ steps[..., None])[..., 0], axis=0)
+    return replace(motion, root_rotation=turns @ motion.root_rotation, root_translation=path)
 
 
 def _hopping(motion: HandleMotion, locomotion: str, frames: np.ndarray, anatomy: Anatomy) -> HandleMotion:
@@ -156,13 +164,10 @@ def in_air(motion: HandleMotion, frames: np.ndarray | None = None) -> HandleMoti
 
 
 def _grounded(motion: HandleMotion, locomotion: str, frames: np.ndarray, anatomy: Anatomy) -> HandleMotion:
-    """The motion lower by as much as the character would hover in some frames, with a tail that a tilted trunk does not
-    hold up.
-    """
+    """The motion lower by as much as the character would hover in some frames."""
     if not motion.own_height:
         return motion
     share = _amount(len(motion), frames, motion.fps)
-    motion = _tail_lowered(motion, share, anatomy)
     hovers = Ground().hovering(posed(motion, anatomy), anatomy, AIR[locomotion])
     hovers = share * gaussian(hovers, AIR[locomotion] / 3 * motion.fps)
     least = Ground().flies[0] if locomotion == "stay" else LEAST  # what `fit_motion` sets down
@@ -171,16 +176,6 @@ def _grounded(motion: HandleMotion, locomotion: str, frames: np.ndarray, anatomy
     path = motion.root_translation.astype(np.float64)
     path[:, 1] -= hovers / anatomy.scale
     return replace(motion, root_translation=path)
-
-
-def _tail_lowered(motion: HandleMotion, share: np.ndarray, anatomy: Anatomy) -> HandleMotion:
-    handles, joints = anatomy.handles, anatomy.joints
-    before = motion.rotations.astype(np.float64)
-    after = Tail().lowered(before, handles, replace(joints, present=anatomy.own), motion.fps, motion.root_rotation)
-    if after is before:
-        return motion
-    turn = axis_angle_from_matrix(after @ before.transpose(0, 1, 3, 2))
-    return _attached(motion, matrix_from_axis_angle(share[:, None, None] * np.asarray(turn)) @ before)
 
 
 def _root() -> float:
@@ -204,11 +199,8 @@ def _phase(count: int, frames: np.ndarray, rate: float, fps: float, loop: bool) 
 
 
 def _flown(motion: HandleMotion, frames: np.ndarray, anatomy: Anatomy, loop: bool) -> HandleMotion:
-    motion = in_air(motion, frames)
     share = _amount(len(motion), frames, motion.fps)
-    motion = _righted(motion, share)
-    if wings_carry(HandleMotion.take(motion, frames)):
-        return motion
+    motion = _levelled(in_air(motion, frames), share)
     phase = _phase(len(motion), frames, BEAT, motion.fps, loop)
     rotations = motion.rotations.astype(np.float64).copy()
     for wing in _WINGS:
@@ -222,68 +214,54 @@ def _flown(motion: HandleMotion, frames: np.ndarray, anatomy: Anatomy, loop: boo
     return _attached(motion, rotations, root_translation=path)
 
 
-def _righted(motion: HandleMotion, share: np.ndarray) -> HandleMotion:
-    """The motion of a body that neither falls over nor rolls up in the air, whatever else was drawn."""
-
-    def within(turn: np.ndarray) -> np.ndarray:
-        size = np.linalg.norm(turn, axis=-1, keepdims=True)
-        least = np.minimum(1, TILT / np.maximum(size, 1e-9))
-        return np.asarray(turn * (1 + (least - 1) * share.reshape(-1, *[1] * (turn.ndim - 1))))
-
-    return _bent(motion, _TRUNK, within)
-
-
-def _bent(motion: HandleMotion, parts: list[int], change: Callable[[np.ndarray], np.ndarray]) -> HandleMotion:
-    """The motion with the tilt of its root and the turns of some parts, axes times angles [rad], changed."""
-    facing, tilt = facing_and_tilt(motion.root_rotation, motion.fps)
-    root = facing @ matrix_from_axis_angle(change(np.asarray(axis_angle_from_matrix(tilt))))
-    rotations = motion.rotations.astype(np.float64)
-    turns = change(np.asarray(axis_angle_from_matrix(rotations[:, parts])))
-    rotations[:, parts] = matrix_from_axis_angle(turns)
-    return _attached(motion, rotations, root_rotation=root)
-
-
 def _lifting_axis(anatomy: Anatomy, wing: int) -> np.ndarray:
     """The axis about which a wing turns upwards, from where it is joined to its middle, shape (3,)."""
-    handles = anatomy.handles
-    out = handles.positions[wing] - anatomy.joints.positions[wing]
-    axis = np.cross(out, [0.0, 1.0, 0.0])
-    if np.linalg.norm(axis) < 0.3 * max(float(np.linalg.norm(out)), 1e-9):  # it points up: it beats sideways
-        axis = np.array([0, 0, 1.0 if handles.positions[wing][0] > 0 else -1.0])
-    return np.asarray(axis / np.linalg.norm(axis))
+    out = anatomy.handles.positions[wing] - anatomy.joints.positions[wing]
+    ahead = np.array([0, 0, 0.2 if anatomy.handles.positions[wing][0] > 0 else -0.2])  # what points up beats sideways
+    axis = np.cross(out, -_DOWN) + ahead * np.linalg.norm(out)
+    return np.asarray(axis / max(float(np.linalg.norm(axis)), 1e-9))
 
 
 def _levelled(motion: HandleMotion, share: np.ndarray) -> HandleMotion:
-    """The motion of a body that is level in the water, as it rests, where a swimming person lies on the front: what
+    """The motion of a body that is level in water or air, as it rests, where a swimming person lies on the front: what
     lasts of the tilt of the root and of the bend of the trunk and head is taken off, and what is beyond `ROLLS`.
     """
 
-    def without(turn: np.ndarray) -> np.ndarray:
+    def level(turns: np.ndarray) -> np.ndarray:
+        turn = np.asarray(axis_angle_from_matrix(turns))
         part = share.reshape(-1, *[1] * (turn.ndim - 1))
         turn = turn - part * gaussian(turn, LASTS * motion.fps)
         least = np.minimum(1, ROLLS / np.maximum(np.linalg.norm(turn, axis=-1, keepdims=True), 1e-9))
-        return np.asarray(turn * (1 + (least - 1) * part))
+        return np.asarray(matrix_from_axis_angle(turn * (1 + (least - 1) * part)))
 
-    return _bent(motion, [*_TRUNK, *_HEAD], without)
+    facing, tilt = facing_and_tilt(motion.root_rotation, motion.fps)
+    rotations = motion.rotations.astype(np.float64)
+    rotations[:, [*_TRUNK, *_HEAD]] = level(rotations[:, [*_TRUNK, *_HEAD]])
+    return _attached(motion, rotations, root_rotation=facing @ level(tilt))
 
 
 def _waved(motion: HandleMotion, locomotion: str, frames: np.ndarray, anatomy: Anatomy, loop: bool) -> HandleMotion:
-    share = _amount(len(motion), frames, motion.fps)
-    if locomotion == "swim":
+    """The motion with a wave that runs along the body from the nose to the end of the tail, and its root, which is a
+    part of that, goes from side to side with it.
+    """
+    manner, share = locomotion.split()[0], _amount(len(motion), frames, motion.fps)
+    if manner == "swim":
         motion = _levelled(motion, share)
-    some = HandleMotion.take(motion, frames)
-    path = _travelled(motion, locomotion, frames, anatomy)
-    rotations = motion.rotations.astype(np.float64).copy()
-    turns = np.asarray(axis_angle_from_matrix(some.rotations[:, _TAIL].astype(np.float64)))
-    if float(np.ptp(turns, axis=0).max()) < BENDS:
-        phase = _phase(len(motion), frames, WAVE[locomotion], motion.fps, loop)
-        axis = np.array([1.0, 0, 0]) if locomotion == "swim" and _flat_tail(anatomy) else np.array([0, 1.0, 0])
-        for name, behind in _LINE.items():
-            angle = BENT[locomotion] * abs(behind) / 1.7 * np.sin(phase - behind) * share
-            turn = matrix_from_axis_angle(angle[:, None] * axis)
-            for part in _HEAD if name == "head" else [HANDLE_NAMES.index(name)]:
-                rotations[:, part] = turn @ rotations[:, part]
-    return _attached(motion, rotations, root_translation=path)
+    path = _travelled(motion, locomotion, frames, anatomy).root_translation
+    phase = _phase(len(motion), frames, WAVE[locomotion], motion.fps, loop)
+    flat = manner == "swim" and _flat_tail(anatomy)
+    axis, aside = np.eye(3)[[0, 1]] * [[1], [-1]] if flat else np.eye(3)[[1, 0]]
+    ends = np.quantile(anatomy.mesh.vertices[anatomy.mesh.surface, 2], [1, 0])
+    nose, tail, waves = BENT[manner]
+    behind = (anatomy.handles.positions[:, 2] - ends[0]) / min(ends[1] - ends[0], -1e-9)
+    size = nose + (tail - nose) * np.clip(behind, 0, 1)
+    along = phase[:, None] - 2 * np.pi * waves * behind
+    turns = matrix_from_axis_angle((share[:, None] * size * np.sin(along))[..., None] * axis)
+    rotations, root = motion.rotations.astype(np.float64), turns[:, 0]
+    rotations[:, _LINE] = root.transpose(0, 2, 1)[:, None] @ turns[:, _LINE] @ rotations[:, _LINE]
+    away = share * size[0] * (ends[0] - ends[1]) / (2 * np.pi * waves * anatomy.scale) * np.cos(along[:, 0])
+    path = path - away[:, None] * (motion.root_rotation @ aside)
+    return _attached(motion, rotations, root_rotation=motion.root_rotation @ root, root_translation=path)
 
 
 def _upon_base(motion: HandleMotion) -> HandleMotion:
@@ -294,8 +272,8 @@ def _upon_base(motion: HandleMotion) -> HandleMotion:
     return _attached(motion, rotations, root_rotation=facing)
 
 
-def _travelled(motion: HandleMotion, locomotion: str, frames: np.ndarray, anatomy: Anatomy) -> np.ndarray:
-    """The root's path, at a speed fit for the body's size where it hardly gets ahead, shape (N, 3)."""
+def _travelled(motion: HandleMotion, locomotion: str, frames: np.ndarray, anatomy: Anatomy) -> HandleMotion:
+    """The motion at a speed fit for the body's size, where it is slower than that."""
     path = motion.root_translation.astype(np.float64)
     ahead = facing_and_tilt(motion.root_rotation, motion.fps)[0][:, :, 2]
     own = float(((path[frames[-1]] - path[frames[0]]) * ahead[frames].mean(axis=0)).sum())
@@ -303,15 +281,13 @@ def _travelled(motion: HandleMotion, locomotion: str, frames: np.ndarray, anatom
     wanted = SPEED[locomotion] * length * len(frames) / motion.fps
     share = _amount(len(motion), frames, motion.fps)
     more = np.cumsum(ahead * share[:, None] * wanted / len(frames), axis=0)
-    return path + more if own < STAYS * wanted else path
+    return replace(motion, root_translation=path + more * max(1 - own / wanted, 0))
 
 
 def _flat_tail(anatomy: Anatomy) -> bool:
     """Whether the end of a tail is wider than high, as a whale's: it beats up and down."""
-    held = anatomy.mesh.surface & (anatomy.mesh_handles.weights[:, _TAIL] > 0.5)
-    if held.sum() < 3:
-        return False
-    size = np.ptp(anatomy.mesh.vertices[held], axis=0)
+    held = anatomy.mesh.surface & (anatomy.mesh_handles.weights[:, _TAILS[1]] > 0.5)
+    size = np.ptp(anatomy.mesh.vertices[held], axis=0) if held.sum() > 2 else np.zeros(3)
     return bool(size[0] > 1.5 * size[1])
 
 
@@ -331,15 +307,17 @@ BOW = {"neck": 70.0, "head": 30.0, "spine3": 12.0, "spine2": 8.0, "spine1": 8.0}
 """How far parts of a body turn where its head goes to the ground [degrees]; chosen by eye on a horse, a hen and a
 box-shaped tiger."""
 KNEELS = 45.0  # how far the whole of it does; chosen by eye on the same
+STOOPS, NODS = 80.0, 0.3  # that of an upright body, and the share of neck and head in it; chosen by eye on a meerkat
 FRACTIONS = np.linspace(-0.4, 1.0, 15)  # of a bow that are tried; below 0 a body rears
+TURNS = 75.0  # how far a head without a neck turns [degrees]; chosen by eye on a box-shaped dog
+REARS = -0.15  # share of a bow by which a body rears that has its mouth at the ground; chosen by eye on an elephant
 FALLS = 0.3, 1.5  # when a body that dies begins and ends to fall [s]; chosen by eye on a cow and a hen
 SAGS = 50.0  # how far limbs, neck and tail of a dead body sink at the most [degrees]; chosen by eye on the same
 STRIKE = 1.4  # how long a strike takes [s]; chosen by eye on a fish and a stork
-LEAP = 0.35, 0.08  # how far ahead and up a body leaps with it, over its length; chosen by eye on the same
+LEAP = 0.45, 0.12  # how far ahead and up a body leaps with it, over its length; chosen by eye on the same
 TOUCHES = 0.02  # a part that is nearer to the ground is on it, over the size; chosen by eye on a horse
 _HANGS = ("neck", "head", "tail", *(f"{side}_{part}" for part in ("hip", "shoulder", "wing") for side in SIDES))
 _HIND = [*LEGS[0], *LEGS[1]]
-_DOWN = np.array([0.0, -1.0, 0.0])
 
 
 def reached(motion: HandleMotion, anatomy: Anatomy, goal: str, start: float, end: float) -> HandleMotion:
@@ -369,9 +347,7 @@ def _bowed(motion: HandleMotion, anatomy: Anatomy, share: np.ndarray, down: np.n
     where that is on the ground or the body `rears`; `share` (N,) says how much of that is done.
     """
     mesh, near = anatomy.mesh, TOUCHES * float(np.ptp(anatomy.mesh.vertices, axis=0).max())
-    front = anatomy.front if len(anatomy.front) else np.flatnonzero(mesh.surface)  # a body that is all head
-    muzzle = int(front[mesh.vertices[front, 2].argmax()])
-    front = np.append(anatomy.front, muzzle)
+    front = np.append(anatomy.front, anatomy.muzzle)
     heights = []
     for some in FRACTIONS:
         world = _bow(motion, anatomy, np.full(len(motion), some)).transforms(anatomy.handles.positions)
@@ -379,7 +355,7 @@ def _bowed(motion: HandleMotion, anatomy: Anatomy, share: np.ndarray, down: np.n
         heights.append(points[:, -1] - np.minimum(points[:, :-1].min(axis=1, initial=anatomy.floor), anatomy.floor))
     low = np.array(heights) <= 3 * near
     first = np.where(low.any(axis=0), low.argmax(axis=0), np.argmin(heights, axis=0))
-    held = FRACTIONS[0] if rears or heights[np.searchsorted(FRACTIONS, 0)][0] < 10 * near else 0.0
+    held = FRACTIONS[0] if rears else REARS if heights[np.searchsorted(FRACTIONS, 0)][0] < 10 * near else 0.0
     least = gaussian(np.maximum(FRACTIONS[first], held), 0.15 * motion.fps)
     return _planted(_bow(motion, anatomy, share * (held + down * (least - held))), motion, anatomy)
 
@@ -393,14 +369,17 @@ def _bow(motion: HandleMotion, anatomy: Anatomy, amount: np.ndarray) -> HandleMo
     if anatomy.legs or anatomy.plan.swims:
         tops = [leg for leg in anatomy.legs if int(anatomy.handles.played[leg.upper]) in _HIND] or anatomy.legs
         middle = np.mean([leg.joints[0] for leg in tops] or positions[:1], axis=0)
-        tilt = np.radians(KNEELS) * np.clip(np.maximum(amount - 0.4, np.minimum(amount, 0)) / 0.6, -1, 1)
+        tilt = np.radians(np.where((amount > 0) & anatomy.upright, STOOPS, KNEELS)) * np.clip(
+            np.maximum(amount - 0.4, np.minimum(amount, 0)) / 0.6, -1, 1
+        )
         motion = _tilted(motion, positions, tilt[:, None] * aside, middle)
     world, left = motion.transforms(positions).astype(np.float64), 0.0
     for name, degrees in BOW.items():
         left += degrees
         if present[part := HANDLE_NAMES.index(name)]:
             most = 1.6 * amount - 0.4 * (amount > 0) * name.startswith("spine")
-            turn = np.radians(left) * np.clip(most, np.minimum(amount, 0), 1)
+            some = NODS if anatomy.upright and not name.startswith("spine") else 1.0
+            turn = np.radians(min(left, TURNS)) * np.clip(most, np.minimum(amount, 0), some)
             _turn_part(world, part, anatomy, turn[:, None] * aside)
             left = 0.0
     return motion.with_transforms(world, positions)
@@ -472,7 +451,7 @@ def _rest(pose: HandleMotion, anatomy: Anatomy) -> np.ndarray:
     faces = np.unique(ConvexHull(points[mesh.surface], qhull_options="QJ").equations, axis=0)
     normals, heights = faces[:, :3], -faces[:, :3] @ middle - faces[:, 3]
     seen = normals @ pose.root_rotation[0].astype(np.float64)  # as the body has them at rest
-    score = heights / heights.mean() + 0.5 * np.abs(seen[:, 2]) + 0.15 * np.maximum(seen[:, 1], 0)
+    score = heights / heights.mean() + 0.5 * np.abs(seen[:, 2]) + 0.35 * np.maximum(seen[:, 1], 0)
     score += 0.1 * normals[:, 1] + 2.0 * (seen[:, 1] < -0.5)
     return np.asarray(normals[score.argmin()])
 

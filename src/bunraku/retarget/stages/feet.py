@@ -66,7 +66,8 @@ class Feet(Stage, name="feet"):
         return bool(anatomy.legs) and len(fitting.source) > 2
 
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
-        motion, contacts = self.locked(fitting.motion, anatomy, None if fitting.source.own_height else fitting.source)
+        free = fitting.source.own_height and fitting.heights is None
+        motion, contacts = self.locked(fitting.motion, anatomy, None if free else fitting.source)
         return replace(fitting.moved(motion), contacts=contacts)
 
     def contacts(self, motion: HandleMotion, anatomy: Anatomy, held: int = 0) -> tuple[Contacts, np.ndarray]:
@@ -197,9 +198,9 @@ class Feet(Stage, name="feet"):
         Args:
             motion: Of the character, on the ground.
             anatomy: Of the character, with L legs.
-            source: The motion of the reference body whose path counts; None where the path may change. What steps are
-                shorter or longer than there the legs make up alone, step by step; what slides there on purpose
-                (`SLIDES`) is held here.
+            source: The motion of the reference body whose path counts, or one made for the character, which counts
+                where feet would take most of it; None where the path may change. What steps are shorter or longer than
+                there the legs make up alone, step by step; what slides there on purpose (`SLIDES`) is held here.
             held: So many frames at the beginning stay as they are.
         """
         legs = anatomy.legs
@@ -211,11 +212,11 @@ class Feet(Stage, name="feet"):
             aside = matrix_y(heading(motion.root_rotation, motion.fps))[1:, [0, 2], 0]
             missing = missing - aside * (missing * aside).sum(axis=1, keepdims=True)
         away = np.concatenate([np.zeros((1, 2)), np.cumsum(missing, axis=0)])
-        if source is not None:
-            _, slid = self.contacts(source, reference_anatomy())
-            slid = slid * (
-                float(np.linalg.norm(slid, axis=1).mean() * motion.fps) > SLIDES
-            )  # less is a capture's noise
+        # what takes most of an animal's way has mistaken its feet, as of a body that rests in the middle of a step
+        lost = np.hypot(*away[-1]) > TRAVELS * np.hypot(*(path[-1] - path[0])[[0, 2]])
+        if source is not None and (lost or not source.own_height):
+            slid = self.contacts(source, reference_anatomy())[1] * (not source.own_height)
+            slid *= float(np.linalg.norm(slid, axis=1).mean() * motion.fps) > SLIDES  # less is a capture's noise
             drift = away[1:] - np.cumsum(anatomy.scale * slid, axis=0)
             away -= _lasting(np.concatenate([away[:1], drift]), self.stride * motion.fps)
         way = (path[-1] - path[0])[[0, 2]]

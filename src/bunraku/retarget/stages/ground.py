@@ -47,7 +47,19 @@ class Ground(Stage, name="ground"):
             return fitting.moved(self.followed(fitting.source, motion, anatomy, fitting.heights))
         wings = bool(anatomy.own[_WINGS].all())
         flies = not anatomy.legs or anatomy.upright or wings  # an upright body may climb or hang
-        return fitting.moved(self.grounded(motion, anatomy, flies))
+        moved = self.grounded(motion, anatomy, flies)
+        if anatomy.leap > anatomy.scale:
+            own = anatomy.reach.lowest(moved.transforms(anatomy.handles.positions)) / anatomy.scale
+            high = self._stood(fitting.source)[1] if anatomy.upright else own
+            air = np.maximum(high - self._local_ground(high, motion.fps), 0)
+            moved = _lifted(moved, (anatomy.leap - anatomy.scale) * air)
+        return fitting.moved(moved)
+
+    def _stood(self, motion: HandleMotion) -> tuple[np.ndarray, np.ndarray]:
+        """How high all but the arms of the reference body is, and what it stands on, in each frame [m], (N,) each."""
+        body, source = reference_anatomy(), motion.transforms(reference_anatomy().handles.positions)
+        below = body.reach.lowest(source)
+        return below, self._ground_of(below, body.surface_reach.lowest(source), motion.fps)
 
     def followed(
         self, motion: HandleMotion, fitted: HandleMotion, anatomy: Anatomy, heights: np.ndarray | None = None
@@ -56,19 +68,17 @@ class Ground(Stage, name="ground"):
         reference body's motion is over y = 0. The reference body's own drift off the ground is taken out first.
         `heights` (N,) are those of the lowest point of another body than the reference body, in its scale [m].
         """
-        body, world = reference_anatomy(), fitted.transforms(anatomy.handles.positions)
+        world = fitted.transforms(anatomy.handles.positions)
         have = anatomy.reach.lowest(world)
         if heights is None:
-            source = motion.transforms(body.handles.positions)
-            below = body.reach.lowest(source)
-            want = self._ground_of(below, body.surface_reach.lowest(source), motion.fps)
+            below, want = self._stood(motion)
             hands_down = below > want + 0.01
             if hands_down.any() and anatomy.stands.sum() < anatomy.mesh.surface.sum():
                 have = np.where(hands_down, anatomy.surface_reach.lowest(world), have)
         else:
             want = np.asarray(heights)
-        drift = self._local_ground(want, motion.fps)
-        lift = running_mean(anatomy.floor + (want - drift) * anatomy.scale - have, 5)
+        air = want - self._local_ground(want, motion.fps)
+        lift = running_mean(anatomy.floor + air * np.where(air > 0, anatomy.leap, anatomy.scale) - have, 5)
         moved = fitted.root_translation.copy()
         moved[:, 1] += lift
         return replace(fitted, root_translation=moved)
@@ -172,7 +182,7 @@ class Floor(Stage, name="floor"):
         body = reference_anatomy()
         want = body.surface_reach.lowest(source.transforms(body.handles.positions))
         air = want - running_least(want, 2 * round(self.air * source.fps) + 1)
-        up = air * anatomy.scale - have
+        up = air * anatomy.leap - have
         return _lifted(motion, np.where(up < 0, up * (1 - smooth_step(-up / anatomy.mesh.height, *self.flies)), up))
 
     def rested(self, motion: HandleMotion, source: HandleMotion, anatomy: Anatomy) -> HandleMotion:

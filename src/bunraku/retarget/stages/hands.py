@@ -80,9 +80,13 @@ class Hands(Stage, name="hands"):
             for name, part in reference_parts.items():
                 if name not in character_parts:
                     continue
-                local = _unapplied(theirs[:, part.handle], source)
+                frame = theirs[:, part.handle]
+                local = np.einsum("nji,nj->ni", frame[..., :3], source - frame[..., 3])
+                speed = (
+                    gaussian(np.linalg.norm(np.gradient(local, axis=0), axis=1), self.blend * motion.fps) * motion.fps
+                )
                 near = smooth_step(cKDTree(part.points).query(local)[0], self.near, self.touches)
-                share = near * self._rest(local, motion.fps)
+                share = near * smooth_step(speed, self.passes, self.rests)
                 there = character_parts[name]
                 goal = _placed(local, part, there, scale)
                 frame = world[:, there.handle] @ _square(np.linalg.inv(_square(stance[there.handle])))
@@ -114,11 +118,6 @@ class Hands(Stage, name="hands"):
         shifts[:, 0] += half
         shifts[:, 1] -= half
 
-    def _rest(self, local: np.ndarray, fps: float) -> np.ndarray:
-        """How much a palm rests on a part, 0 to 1, by its positions in the part's frame (N, 3)."""
-        speed = np.linalg.norm(np.gradient(local, axis=0), axis=1) * fps
-        return smooth_step(gaussian(speed, self.blend * fps), self.passes, self.rests)
-
     def _parts(self, vertices: np.ndarray, weights: np.ndarray, played: np.ndarray) -> dict[str, _Box]:
         out = {}
         for name, members in _PARTS.items():
@@ -148,10 +147,6 @@ def _applied(transforms: np.ndarray, points: np.ndarray) -> np.ndarray:
     return np.asarray(
         np.einsum("nij,nj->ni", transforms[..., :3], np.broadcast_to(points, (len(transforms), 3))) + transforms[..., 3]
     )
-
-
-def _unapplied(transforms: np.ndarray, points: np.ndarray) -> np.ndarray:
-    return np.asarray(np.einsum("nji,nj->ni", transforms[..., :3], points - transforms[..., 3]))
 
 
 _ARM = ("collar", "shoulder", "elbow", "wrist", "fingers", "wing")

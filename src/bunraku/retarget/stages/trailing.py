@@ -124,26 +124,21 @@ class Tail(Stage, name="tail"):
         return fitting.source.own_kind
 
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
-        lowered = self.lowered(fitting.rotations, anatomy.handles, anatomy.joints, fitting.source.fps)
-        return replace(fitting, rotations=lowered)
+        fps, root = fitting.source.fps, fitting.source.root_rotation
+        return replace(fitting, rotations=self.lowered(fitting.rotations, anatomy.handles, anatomy.joints, fps, root))
 
-    def lowered(
-        self, rotations: np.ndarray, handles: Handles, joints: Joints, fps: float,
-        root_rotation: np.ndarray | None = None,
-    ) -> np.ndarray:  # fmt: skip
+    def lowered(self, turns: np.ndarray, handles: Handles, joints: Joints, fps: float, root: np.ndarray) -> np.ndarray:
         """Local rotations in which no tail is held up higher than it rests, or higher than `highest`, whatever is more.
 
         A trunk that tilts forward lifts the tail with it, and so much more is taken from the tail.
 
         Args:
-            rotations: Of a character's handles from its rest pose, in the root's frame, shape (N, K, 3, 3).
+            turns: Those of a character's handles from its rest pose, in the root's frame, shape (N, K, 3, 3).
             joints: Where the handles meet in the rest pose.
-            root_rotation: Of the root, shape (N, 3, 3); None for a root that does not turn.
+            root: Rotations of the root, shape (N, 3, 3).
         """
-        out, tilt = rotations, np.eye(3)[None]
+        out, (_, tilt) = turns, facing_and_tilt(root, fps)
         there = joints.present & (handles.played == np.arange(len(handles.positions)))
-        if root_rotation is not None:
-            _, tilt = facing_and_tilt(root_rotation, fps)
         for part in (_TAIL, _TIP):
             if not there[part]:
                 continue
@@ -153,15 +148,15 @@ class Tail(Stage, name="tail"):
             if np.hypot(along[1], along[2]) < 0.5 * np.linalg.norm(along):  # it lies across the body
                 continue
             rest = float(np.arctan2(along[1], -along[2]))
-            posed = (tilt @ (rotations[:, part] @ along)[..., None])[..., 0]
+            posed = (tilt @ (turns[:, part] @ along)[..., None])[..., 0]
             turned = np.arctan2(posed[:, 1], -posed[:, 2]) - rest
             held = gaussian(np.unwrap(turned), self.slow * fps)
             held -= 2 * np.pi * np.round(held.mean() / (2 * np.pi))
             above = np.maximum(rest + held - max(rest, self.highest), 0)
             if above.any():
                 lower = matrix_from_axis_angle(-above[:, None] * np.array([1.0, 0, 0]))
-                out = out.copy() if out is rotations else out
-                out[:, part] = tilt.transpose(0, 2, 1) @ lower @ tilt @ rotations[:, part]
+                out = out.copy() if out is turns else out
+                out[:, part] = tilt.transpose(0, 2, 1) @ lower @ tilt @ turns[:, part]
         return out
 
 
