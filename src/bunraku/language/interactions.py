@@ -109,11 +109,11 @@ def interaction_of(text: str) -> Interaction | None:
     Args:
         text: In English.
     """
-    from bunraku.language.reader import frames_of, load_reader  # numpy
+    from bunraku.language.reader import frames_of, load_reader, unlearned_in  # numpy
 
     reader = load_reader()
     dealt = reader.dealt(text)
-    if not dealt:
+    if not dealt or unlearned_in(text):
         return None
     surest, rows = max(dealt, key=lambda frame: frame.probability), lexicon().actions
     kind, _, name = surest.action.partition(" ")

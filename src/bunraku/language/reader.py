@@ -19,7 +19,7 @@ from bunraku.core.nn.checkpoints import dated_checkpoint, fitting_config, load_c
 from bunraku.core.nn.layers import PostNorm, one_thread, sigmoid, softmax
 from bunraku.errors import WeightsError
 from bunraku.language.encoders import TEXT_LENGTH, MiniLMEncoder, text_encoder
-from bunraku.language.lexicon import actions_of, lexicon, uncovered, words_of
+from bunraku.language.lexicon import actions_of, lexicon, said_phrases, uncovered, words_of
 from bunraku.language.prompts import plain_words
 
 KIND = "reader"
@@ -221,6 +221,9 @@ def frames_of(text: str) -> tuple[Frame, ...]:
         later = [frame._replace(at=frame.at + before) for frame in frames_of(text[at:])]
         return tuple({frame.action: frame for frame in (*frames_of(text[:at]), *later)}.values())
     frames = reader.read(text, phrased)
+    if unlearned := unlearned_in(text):  # the network says of their words what it knows
+        kept = [frame for frame in frames if frame.action in phrased]
+        frames = kept + [Frame(action, 1.0, said_phrases(text)["actions"][action] + 1, {}) for action in unlearned]
     missing = set(phrased) - {frame.action for frame in frames}
     for before, piece in pieces if missing else ():  # beside others, each is less sure
         alone = [action for action in actions_of(piece) if action in missing]
@@ -230,6 +233,11 @@ def frames_of(text: str) -> tuple[Frame, ...]:
     if {frame.action for frame in frames}.issubset(phrased):
         frames.sort(key=lambda frame: phrased.index(frame.action))
     return tuple({frame.action: frame for frame in frames}.values())
+
+
+def unlearned_in(text: str) -> list[str]:
+    """The actions that phrases of the lexicon find in a text, and that the network never learned."""
+    return [action for action in actions_of(text) if action not in load_reader().actions]
 
 
 def _pieces(text: str) -> list[tuple[int, str]]:
