@@ -70,6 +70,9 @@ def test_the_other_side_does_not(sentence):
         ("a person walks as if very tired", person(60)),
         ("a person runs in a circle", person(60, speed=0.1)),
         ("a person sits down", person(80)),
+        ("a person looks to the left", person(80)),
+        ("a person walks through deep snow", person(80)),
+        ("a person walks while holding a cup in the right hand", person(80)),
     ],
 )
 def test_what_is_not_done_or_too_much_of_it(sentence, motion):

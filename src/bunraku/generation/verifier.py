@@ -12,6 +12,7 @@ from bunraku.core.body.layout import HANDLE_NAMES
 from bunraku.core.geometry.curves import gaussian, running_least
 from bunraku.core.geometry.rotations import heading, matrix_y
 from bunraku.core.motion import HandleMotion
+from bunraku.language.interactions import Terrain
 from bunraku.language.lexicon import done_once, goes_ahead, lexicon, stays_down
 from bunraku.language.posing import Posing
 from bunraku.language.sentence import Clause
@@ -48,6 +49,7 @@ class Track:
     course: np.ndarray  # direction of the path itself [rad], unwrapped, shape (N,)
     points: dict[str, np.ndarray]  # world position of each named handle [m], shape (N, 3) each
     feet: np.ndarray  # lowest handle of each foot over the ground [m], shape (N, 2), left first
+    gaze: np.ndarray  # where the head faces, in the root's frame, shape (N, 3)
 
     @classmethod
     def of(cls, motion: HandleMotion) -> Track:
@@ -72,8 +74,9 @@ class Track:
         course = np.unwrap(np.arctan2(drift[:, 0], drift[:, 1]))
         height = motion.root_translation[:, 1].astype(float) - ground
         return cls(
-            fps, position, height, turn[:, 1, 1], angle, local_drift[:, [2, 0]], course, points, feet - ground[:, None]
-        )
+            fps, position, height, turn[:, 1, 1], angle, local_drift[:, [2, 0]], course, points, feet - ground[:, None],
+            motion.rotations[:, HANDLE_NAMES.index("head"), :, 2],
+        )  # fmt: skip
 
     def __len__(self) -> int:
         return len(self.position)
@@ -114,6 +117,7 @@ take then turned by more than 60 degrees, and the ranker's mean cosine fell by .
 BEGUN = 0.7  # s until a motion has begun; of the same 144 takes, 1 % then began later than a second
 _LATE = 0.8  # s later, nothing of the claim is left; the same
 _LIVELY = 0.4  # m/s, mean speed of the body's points in a slow walk, from which on any motion has begun
+_GAZE = np.radians(12)  # least angle by which the head turns, or nods; chosen by eye
 _DONE = 0.3  # m/s, of the fastest point in what is done once, slowly; chosen by eye
 REST = 1.2  # s that a motion may rest at its end; people who watched takes called 1.5 s idle
 _CALM = 0.2  # share of the highest speed below which a body rests
@@ -155,13 +159,12 @@ def verify(clause: Clause, motion: HandleMotion, described: bool = True) -> Verd
     """
     if len(motion) < 8:
         return None
-    if clause.limbs_meanwhile is not None:
+    if clause.meanwhile is not None and clause.meanwhile.detail is not None:
         clause = clause.body
     track = Track.of(motion)
     # "to the left" is where a thing is put; and of several things in a row, none holds throughout
-    plain = (clause.detail is None or (described and isinstance(clause.detail, Posing))) and not (
-        "then" in clause.cues and len(clause.actions) != 1
-    )
+    plain = isinstance(clause.detail, Terrain | None) or (described and isinstance(clause.detail, Posing))
+    plain = plain and not ("then" in clause.cues and len(clause.actions) != 1)
     scores = [
         (float(np.clip(score, -1, 1)), claim.name)
         for claim in CLAIMS
@@ -353,6 +356,15 @@ def _begins(clause: Clause, track: Track) -> float | None:
     return 1 - max(onset(track) - BEGUN, 0) / _LATE
 
 
+def _looks(clause: Clause, track: Track) -> float | None:
+    """A person who does something with the head alone turns it, or nods."""
+    rows = lexicon().actions
+    if not clause.actions or any(rows[action].part != "head" for action in clause.actions if action in rows):
+        return None
+    x, y, z = track.gaze.T
+    return float(max(np.ptp(np.arctan2(x, z)), np.ptp(np.arctan2(y, z)))) / _GAZE - 1
+
+
 def _done(clause: Clause, track: Track) -> float | None:
     """A body does what is done once, and does not only stand ready for it."""
     if asks_to_turn(clause) or not done_once(clause.actions):
@@ -385,6 +397,7 @@ CLAIMS = (
     Claim("sitting or standing", _posture),
     Claim("staying down", _stays_down, of_one=False),
     Claim("keeping the posture", _same_posture, of_one=False),
+    Claim("turning the head", _looks),
     Claim("doing it", _done, of_one=False),
     Claim("beginning at once", _begins, of_one=False),
     Claim("filling the time", _fills, of_one=False),
