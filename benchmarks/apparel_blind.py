@@ -1,13 +1,13 @@
 """Bare meshes that move with and without apparel, side by side in a hidden order, for people to judge.
 
-    python benchmarks/apparel_blind.py ARCHIVE --draw                   the list of meshes, by lot: apparel_blind_6.txt
+    python benchmarks/apparel_blind.py ARCHIVE --draw                   the list of meshes, by lot: apparel_blind_7.txt
     python benchmarks/apparel_blind.py ARCHIVE FOLDER --key KEY         a sheet for each, and which is which
     python benchmarks/apparel_blind.py ARCHIVE --key KEY --answers A B  counts answers
 
 ARCHIVE holds MakeHuman's clothes and hair (`makehuman/`), and the files of the list (`files/`, the second and third
 word of their rows with `_` between). A sheet has two rows of moments for A and two for B: one moves with `--apparel
 auto`, the other without. Each mesh moves by one clip of the library, drawn by lot too. `--use first` to
-`fifth` take the lists whose pictures have been looked at since, `apparel_blind.txt` to `apparel_blind_5.txt`.
+`sixth` take the lists whose pictures have been looked at since, `apparel_blind.txt` to `apparel_blind_6.txt`.
 Answers are lines "NUMBER A" or "NUMBER B"; "=" stands for no difference.
 """
 
@@ -156,6 +156,40 @@ FIGURES = (  # every avatar of that set but three that lists above have, whose r
     "molimolily/PMXViewer hair/15 molimoli_789ca3/15_molimoli_789ca3.pmx",
     "hwubh/MMD_Unity_2022 hair/16 hwubh_d26ad8/16_hwubh_d26ad8.pmx",
 )  # fmt: skip
+LATER = (  # by their names alone: people of the repositories of those two lists that no lot had drawn, one of each
+    "0-Man/Captured-Pigment p13 0-Man_DefaultMale.fbx",
+    "DecDuck/vlassroom2 p01 DecDuck_Ethan.fbx",
+    "DoctorTone/Halloween p08 DoctorTo_witch.gltf",
+    "DrewKestell/vr-forest p05 DrewKest_LowMan.fbx",
+    "JaimeTorrealba/creative-lab p15 JaimeTor_jaimeAvatar.glb",
+    "Kmberry1989/globular p02 Kmberry1_ranger_snow.glb",
+    "LazyDuchess/Thieving-Hexe p10 LazyDuch_ShortWitch.fbx",
+    "PJJSB/Platformer p03 PJJSB_Richard.fbx",
+    "herr-felix/CircleOfLyfe p04 herr-fel_human.fbx",
+    "lemonTree42/software-city p16 lemonTre_man.glb",
+    "maximsnoep/trimeshes p06 maximsno_isis.stl",
+    "nerrevar/model-catalog p12 nerrevar_barack.glb",
+    "sergiman94/CustomCloset p09 sergiman_ManObject.obj",
+    "timzaykin/TestZombie p14 timzayki_Dummy.FBX",
+    "tkwebster/godot-tactical-rpg p07 tkwebste_human.obj",
+    "whuras/GhostBlaster p11 whuras_Witch.fbx",
+)  # fmt: skip
+UNSEEN = (  # avatars of the same that no lot had drawn, one of each group of near copies, whose rig is thrown away
+    "CU-Production/vrm_viewer a08 CU-Produ_001.vrm",
+    "IshibashiRyuto/IQByDirectX12 a04 Ishibash_雲雀Ver1.10.pmd",
+    "IshibashiRyuto/IQByDirectX12 a05 Ishibash_kizunaai.pmx",
+    "IshibashiRyuto/IQByDirectX12 a07 Ishibash_我那覇響v1_お着替えバージョン.pmx",
+    "IshibashiRyuto/IQByDirectX12 a10 Ishibash_TokinoSora_2018.pmx",
+    "IshibashiRyuto/IQByDirectX12 a12 Ishibash_reimu_G01.pmd",
+    "IshibashiRyuto/IQByDirectX12 a13 Ishibash_我那覇響v1.pmd",
+    "RRFHOUDEN/MMDAgent a11 RRFHOUDE_TMUboyv111.pmd",
+    "ZeusAFK/PMXViewer a02 ZeusAFK_alice.pmx",
+    "rickdiazqv/ObjectBehavior a01 rickdiaz_Lat式ミクVer2.3_Sailor冬服.pmd",
+    "rickdiazqv/ObjectBehavior a06 rickdiaz_Lat式ミクVer2.3_Normal.pmd",
+    "rickdiazqv/ObjectBehavior a09 rickdiaz_Lat式ミクVer2.3_White.pmd",
+    "rickdiazqv/ObjectBehavior a14 rickdiaz_平沢巡_2K20.pmx",
+    "sairoutine/mmd-viewer-js a03 sairouti_アリスV034_X4.pmd",
+)  # fmt: skip
 LISTS: dict[str, tuple[str, int, int, int, tuple[tuple[int, tuple[str, ...]], ...]]] = {
     "first": ("apparel_blind.txt", 2830, 830_000, 10, ((10, SEEN),)),
     "second": ("apparel_blind_2.txt", 2831, 880_000, 10, ((10, FRESH),)),
@@ -163,6 +197,7 @@ LISTS: dict[str, tuple[str, int, int, int, tuple[tuple[int, tuple[str, ...]], ..
     "fourth": ("apparel_blind_4.txt", 2833, 920_000, 8, ((12, PEOPLE), (8, STRIPPED))),
     "fifth": ("apparel_blind_5.txt", 2834, 940_000, 8, ((12, REST), (8, AVATARS))),
     "sixth": ("apparel_blind_6.txt", 2835, 980_000, 8, ((12, WORN), (8, FIGURES))),
+    "seventh": ("apparel_blind_7.txt", 2836, 990_000, 8, ((12, LATER), (8, UNSEEN))),
 }
 """Name of each list, what its lot is drawn by, its first seed, how many of the wardrobe and of MakeHuman there are, and
 how many of which files.
@@ -227,7 +262,7 @@ def main() -> None:
     parser.add_argument("--key", type=Path)
     parser.add_argument("--answers", type=Path, nargs="+")
     parser.add_argument("--draw", action="store_true")
-    parser.add_argument("--use", choices=tuple(LISTS), default="sixth")
+    parser.add_argument("--use", choices=tuple(LISTS), default="seventh")
     asked = parser.parse_args()
     if asked.draw:
         draw(asked.archive, asked.use)
