@@ -366,7 +366,8 @@ def test_what_hangs_freely_swings_wider_than_what_lies_on_the_body_or_stands() -
     free, bob, stands = LaidShape(0.4, 5.0, 0.1, 1.0), LaidShape(0.4, 5.0, 0.005, 1.0), LaidShape(0.4, 5.0, 0.1, -1.0)
     tail, others = parameters_of_laid("hair", free), [parameters_of_laid("hair", one) for one in (bob, stands)]
     assert all(tail.limit > 1.9 * one.limit and tail.stiffness < one.stiffness for one in others)
-    assert others[1].gravity == 0  # its weight does not bend what stands
+    assert others[1].gravity == 0 < tail.gravity  # its weight does not bend what stands
+    assert parameters_of_laid("skirt", replace(free, slim=np.inf)).gravity == 0  # nor what is drawn as it hangs
     short = parameters_of_laid("hair", replace(free, length=0.05))
     assert short.limit < 0.5 * tail.limit
 

@@ -19,7 +19,7 @@ from bunraku.apparel.chains.cloth_repairs import (
     eased,
     on_skin,
 )
-from bunraku.apparel.clothed import BESIDE, LEGS, ClothedCharacter
+from bunraku.apparel.clothed import ARMS, BESIDE, LEGS, ClothedCharacter
 from bunraku.core.animation import Animation, RigAnimation
 from bunraku.core.body.layout import JOINT_NAMES
 from bunraku.core.geometry.rotations import axis_angle_from_matrix, matrix_from_axis_angle
@@ -151,20 +151,22 @@ class _Near:
 
 @dataclass(frozen=True)
 class BindToSkin:
-    """Skirts and capes that the body comes through all the same go over to the skin there, where the skin does better:
-    the legs of long steps take a narrow robe along. All fields were chosen by eye.
+    """Apparel that the body comes through all the same goes over to the skin there, where the skin does better: legs in
+    long steps take a narrow robe along, and hair that would fall through a bent back stays behind it. All fields were
+    chosen by eye.
     """
 
     frames: int = 24  # frames that are looked at
     vertices: int = 800  # of them that are looked at
     points: int = 3000  # of the body
     deep: float = 0.01  # over the size [m]
+    thick: float = 0.03  # the same of what is no cloth: a lock that sinks in by its own thickness is still seen
     often: float = 0.1  # share of the frames in which it is deeper than the skin
 
     def __call__(
         self, animation: RigAnimation, plain: Animation | RigAnimation, dressed: DressedChains
     ) -> RigAnimation:  # fmt: skip
-        """The animation whose cloth is on the skin where it must; `plain` is the same with all apparel on the body's
+        """The animation whose apparel is on the skin where it must; `plain` is the same with all apparel on the body's
         skin.
         """
         frames = self.seen(len(animation))
@@ -180,33 +182,39 @@ class BindToSkin:
         """How far each vertex moves freely, shape (V,); for the rest it is on the skin.
 
         Args:
-            clothed: The character; all its apparel is looked at where its kinds are not known.
+            clothed: The character.
             affine: Transforms of its joints in the frames that are `seen`, shape (N, 22, 3, 4).
             moved: All vertices there [m], shape (N, V, 3).
             plain: The same, with all apparel on the body's skin.
         """
-        size, parts = clothed.scale, range(len(clothed.stiffness))
-        sheets = [part for part in parts if not clothed.kinds or clothed.kinds[part] in CLOTH]
-        apparel, body = np.flatnonzero(np.isin(clothed.part, sheets)), surface_points(clothed, self.points)
+        size = clothed.scale
+        apparel, body = np.flatnonzero(clothed.apparel), surface_points(clothed, self.points)
         free = np.ones(len(clothed.rest), np.float32)
         if not len(apparel) or not len(body.rest):
             return free
         chosen = apparel
         if len(apparel) > self.vertices:
             chosen = apparel[farthest_points(clothed.rest[apparel].astype(np.float64), self.vertices)]
-        gap = PosedBody(body.rest, body.normals).gap(clothed.rest[chosen], 0.0, size)
         often = np.zeros(len(chosen))
-        for sign, shown in ((1, moved), (-1, plain)):
-            for pose, points in zip(affine, shown[:, chosen], strict=True):
-                _, planes = PosedBody(*body.posed(pose)).planes(points)
-                lack, _ = planes.push(points, gap, np.inf, size)
-                often += sign * (lack > self.deep * size) / len(affine)
-        for part in sheets:
+        kinds = np.array([kind not in CLOTH for kind in clothed.kinds] or [False] * len(clothed.stiffness))
+        lock, arms = kinds[clothed.part[chosen]], np.isin(body.joint, ARMS)
+        # hair and arms pass through each other: nothing keeps them apart
+        for rows, seen, deep in ((~lock, np.ones_like(arms), self.deep), (lock, ~arms, self.thick)):
+            if not (rows.any() and seen.any()):
+                continue
+            gap = PosedBody(body.rest[seen], body.normals[seen]).gap(clothed.rest[chosen[rows]], 0.0, size)
+            for sign, shown in ((1, moved), (-1, plain)):
+                for pose, points in zip(affine, shown[:, chosen[rows]], strict=True):
+                    positions, normals = body.posed(pose)
+                    _, planes = PosedBody(positions[seen], normals[seen]).planes(points)
+                    lack, _ = planes.push(points, gap, np.inf, size)
+                    often[rows] += sign * (lack > deep * size) / len(affine)
+        for part in range(len(clothed.stiffness)):
             through = chosen[(often > self.often) & (clothed.part[chosen] == part)]
             rows = np.flatnonzero(clothed.part == part)
             if len(through):
-                apart = np.linalg.norm(moved[:, rows] - plain[:, rows], axis=-1)
-                free[rows] = eased(clothed.rest[rows], clothed.rest[through], float(apart.max()))
+                apart = np.linalg.norm(moved[:, rows] - plain[:, rows], axis=-1).max(axis=0)
+                free[rows] = eased(clothed.rest[rows], clothed.rest[through], apart)
         return free
 
 

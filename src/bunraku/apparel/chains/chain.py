@@ -94,10 +94,14 @@ LOSS = (0.95, 0.89)  # share of the velocity lost in a second, the same
 
 
 def parameters_of_laid(kind: str, shape: LaidShape) -> ChainParameters:
-    """Parameters of a chain laid over a shape, by its kind (`KINDS`) and what is seen of it at rest."""
+    """Parameters of a chain laid over a shape, by its kind (`KINDS`) and what is seen of it at rest.
+
+    A skirt is drawn as its weight lets it hang, so that the same weight does not pull at it once more: a wide one would
+    fall in on the legs.
+    """
     limit, hold, loss = (first + shape.loose * (last - first) for first, last in (LOOSE, HOLD, LOSS))
     limit *= np.radians(_BEND[kind]) * float(np.clip(shape.length / LONG, SHORT_SHARE, 1.0))
-    return ChainParameters(limit, 1.0, hold, loss, gravity=shape.weight, root=ROOT)
+    return ChainParameters(limit, 1.0, hold, loss, gravity=0.0 if kind == "skirt" else shape.weight, root=ROOT)
 
 
 def parameters_of(kind: str) -> ChainParameters:

@@ -169,7 +169,7 @@ class MendTears:
             area = np.unique(edges[(bad > self.often) & (part == number)])
             rows = np.flatnonzero(clothed.part == number)
             if len(area) and len(rows):
-                out[rows] = eased(clothed.rest[rows], clothed.rest[area], float(apart[rows].max()))
+                out[rows] = eased(clothed.rest[rows], clothed.rest[area], apart[rows])
         return out
 
     def _looked_at(self, count: int) -> np.ndarray:
@@ -204,11 +204,11 @@ class MendTears:
         return edges, part, bad
 
 
-def eased(points: np.ndarray, bound: np.ndarray, apart: float) -> np.ndarray:
+def eased(points: np.ndarray, bound: np.ndarray, apart: np.ndarray) -> np.ndarray:
     """How far points (P, 3) of a part move freely, shape (P,), where others of it, (B, 3), are bound to the skin: the
-    farther apart the part is from its skin at the most [m], the longer is the way from one to the other.
+    farther each is apart from its skin at the most [m], (P,), the farther it must be from those that are bound.
     """
-    return np.asarray(smooth_step(cKDTree(bound).query(points)[0] / max(apart, 1e-6), 0.0, 1.0))
+    return np.asarray(smooth_step(cKDTree(bound).query(points)[0] / np.maximum(apart, 1e-6), 0.0, 1.0))
 
 
 def on_skin(animation: RigAnimation, bare: Rig, free: np.ndarray) -> RigAnimation:
