@@ -31,8 +31,8 @@ HANGING = tuple(PARTS.index(name) for name in ("hair", "skirt", "cape", "sleeve"
 STIFF = tuple(PARTS.index(name) for name in ("prop", "accessory"))
 LIKELY = 0.15
 """Probability from which on a vertex hangs: long hair that physics move and stiff hair look alike. On the files that
-settings are chosen on (`benchmarks/part_files.md`) 0.1 is best by little, which marks 1.28 % of machines, animals and
-the bare; 0.15 marks 0.88 %.
+settings are chosen on (`benchmarks/part_files.md`) 0.1 was best by little, with the weights before these, and marked
+1.28 % of machines, animals and the bare; 0.15 marked 0.88 %, and 0.52 % with these.
 """
 EVENED = 4  # how often probabilities are averaged with those beside them; chosen by eye
 ISLAND = 0.002  # of the surface: smaller patches inside another part are of that part; chosen by eye

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from bunraku.apparel.part_network import CARRIERS, PARTS, PartConfig
+from bunraku_lab.datasets.labelled.avatars import avatar
 from bunraku_lab.datasets.labelled.figures import code_made, draped
-from bunraku_lab.datasets.labelled.locks import with_locks
 from bunraku_lab.datasets.labelled.things import fused, with_things
-from bunraku_lab.datasets.labelled.worn import with_accessories
 from bunraku_lab.training.parts import PartTrainConfig, PartTrainer, seen_row
 from bunraku_lab.training.parts_data import PartData, build_shard
 
@@ -33,12 +32,7 @@ def test_a_draped_character_hangs_where_it_is_cloth_or_hair(figure):
     assert figure.hands[0, 0] > 0 > figure.hands[1, 0]
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_more_hair_goes_with_the_head_and_things_lie_in_hands_or_under_feet(figure, seed):
-    more = with_locks(figure, np.random.default_rng(seed))
-    added = slice(len(figure.vertices), None)
-    assert len(more.vertices) > len(figure.vertices)
-    assert of(more, "hair")[added].all() and (more.carrier[added] == CARRIERS.index("head")).all()
+def test_things_lie_in_hands(figure):
     full = with_things(figure, np.random.default_rng(1), rate=1.0)
     props = full.vertices[of(full, "prop")]
     gap = np.linalg.norm(props[:, None] - figure.hands[None], axis=2).min()
@@ -46,13 +40,18 @@ def test_more_hair_goes_with_the_head_and_things_lie_in_hands_or_under_feet(figu
     assert (full.hangs[of(full, "prop") | of(full, "ground")] == 0).all()
 
 
-def test_what_is_worn_on_top_is_new_and_does_not_swing(figure):
-    more = with_accessories(figure, np.random.default_rng(2))
-    added = slice(len(figure.vertices), None)
-    assert len(more.vertices) > len(figure.vertices)
-    assert not (more.hangs[added] == 1).any() and (more.part[added] != PARTS.index("prop")).all()
-    size = np.ptp(figure.vertices, axis=0).max()
-    assert np.ptp(more.vertices, axis=0).max() < 1.3 * size
+@pytest.mark.parametrize("seed", range(8))
+def test_avatars_hang_below_the_waist_and_the_chin_and_their_bodies_do_not(seed):
+    one = avatar(seed)
+    assert np.isfinite(one.vertices).all() and len(one.faces)
+    assert not (one.hangs[of(one, "body")] == 1).any()
+    body = one.vertices[of(one, "body")]
+    head = body[one.carrier[of(one, "body")] == CARRIERS.index("head")]
+    hair = one.vertices[of(one, "hair") & (one.hangs == 1)]
+    assert not len(hair) or np.median(hair[:, 1]) < head[:, 1].mean()
+    skirt = one.vertices[of(one, "skirt") & (one.hangs == 1)]
+    assert not len(skirt) or skirt[:, 1].max() < head[:, 1].min()
+    assert (one.carrier[of(one, "skirt")] == CARRIERS.index("pelvis")).all()
 
 
 def test_one_skin_keeps_the_labels_of_what_it_covers(figure):

@@ -22,25 +22,13 @@ from bunraku.errors import FormatError, OptionError
 SHARD_FORMAT = "bunraku-apparel-3"
 _KEY = "bunraku"
 SHARD_ARRAYS: dict[str, tuple[str, tuple[str | int, ...]]] = {
-    "rest": ("F32", ("V", 3)),
-    "faces": ("I32", ("F", 3)),
-    "joints": ("F32", (JOINT_COUNT, 3)),
-    "weights": ("F32", ("V", JOINT_COUNT)),
-    "apparel": ("U8", ("V",)),
-    "part": ("I32", ("V",)),
-    "spring": ("F32", ("P",)),
-    "mass": ("F32", ("P",)),
-    "damping": ("F32", ("P",)),
-    "limit": ("F32", ("P",)),
-    "loose": ("I32", ("M",)),
-    "transforms": ("F32", ("N", JOINT_COUNT, 3, 4)),
-    "offsets": ("F16", ("N", "M", 3)),
-    "bone_parents": ("I32", ("B",)),
-    "bone_positions": ("F32", ("B", 3)),
-    "bone_moved": ("U8", ("B",)),
-    "bone_indices": ("I32", ("V", "I")),
-    "bone_weights": ("F32", ("V", "I")),
-}
+    "rest": ("F32", ("V", 3)), "faces": ("I32", ("F", 3)), "joints": ("F32", (JOINT_COUNT, 3)),
+    "weights": ("F32", ("V", JOINT_COUNT)), "apparel": ("U8", ("V",)), "part": ("I32", ("V",)),
+    "spring": ("F32", ("P",)), "mass": ("F32", ("P",)), "damping": ("F32", ("P",)), "limit": ("F32", ("P",)),
+    "loose": ("I32", ("M",)), "transforms": ("F32", ("N", JOINT_COUNT, 3, 4)), "offsets": ("F16", ("N", "M", 3)),
+    "bone_parents": ("I32", ("B",)), "bone_positions": ("F32", ("B", 3)), "bone_moved": ("U8", ("B",)),
+    "bone_indices": ("I32", ("V", "I")), "bone_weights": ("F32", ("V", "I")),
+}  # fmt: skip
 """Arrays of a shard -> type and shape; letters are lengths that must agree."""
 LATER_ARRAYS: dict[str, tuple[str, tuple[str | int, ...]]] = {"swing": ("F32", ("V", SWING_NUMBERS))}
 """Arrays that shards of older versions lack."""
@@ -370,21 +358,9 @@ def _character(path: str, changed: int) -> ApparelCharacter:
     arrays = {name: shard.array(name) for name in ApparelCharacter.__dataclass_fields__ if name in shard.names}
     count, bones = len(arrays["rest"]), len(arrays["bone_parents"])
     weights = arrays["weights"]
-    good = all(
-        np.isfinite(arrays[name]).all()
-        for name in (
-            "rest",
-            "joints",
-            "weights",
-            "bone_positions",
-            "bone_weights",
-            "spring",
-            "mass",
-            "damping",
-            "limit",
-            *(name for name in LATER_ARRAYS if name in arrays),
-        )
-    )
+    finite = ("rest", "joints", "weights", "bone_positions", "bone_weights", "spring", "mass", "damping", "limit")
+    later = (name for name in LATER_ARRAYS if name in arrays)
+    good = all(np.isfinite(arrays[name]).all() for name in (*finite, *later))
     good &= all(_within(arrays[name], 0, count) for name in ("faces", "loose"))
     good &= _within(arrays["part"], -1, len(arrays["spring"]))
     good &= _within(arrays["bone_parents"], -1, bones) and _within(arrays["bone_indices"], 0, bones)

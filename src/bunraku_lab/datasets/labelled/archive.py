@@ -14,25 +14,11 @@ from bunraku_lab.datasets.labelled.figures import PART, UNKNOWN, Labelled
 _PROPS = ("axe", "shield", "mug", "sword", "spellbook", "wand", "staff", "knife", "crossbow", "throwable", "pistol")
 _WORN = ("hat", "helmet", "backpack")
 _HEAD = {
-    "hair": "hair",
-    "hair_white": "hair",
-    "hair_blond": "hair",
-    "hair_brown": "hair",
-    "hair_black": "hair",
-    "hairbase": "hair",
-    "moustache": "hair",
-    "earrings": "accessory",
-    "gold": "accessory",
-    "worker_yellow": "accessory",
-    "skin": "body",
-    "skin_darker": "body",
-    "eye": "body",
-    "eyes": "body",
-    "eyebrows": "body",
-    "pants": "body",
-    "shirt": "body",
-    "shoes": "body",
-}
+    "hair": "hair", "hair_white": "hair", "hair_blond": "hair", "hair_brown": "hair", "hair_black": "hair",
+    "hairbase": "hair", "moustache": "hair", "earrings": "accessory", "gold": "accessory",
+    "worker_yellow": "accessory", "skin": "body", "skin_darker": "body", "eye": "body", "eyes": "body",
+    "eyebrows": "body", "pants": "body", "shirt": "body", "shoes": "body",
+}  # fmt: skip
 _ROBES = ("dress", "robe")
 
 

@@ -77,44 +77,31 @@ class Labelled:
         return Labelled(vertices, faces, self.part[near], self.hangs[near], self.carrier[near], colors, self.hands)
 
 
+_SIDES = {"left": ("left", "Left", "左"), "right": ("right", "Right", "右")}
+_CARRIED = {
+    "head": "head neck Head Neck 頭 首 Jaw Eye Ear 両目 目",
+    "chest": "spine1 spine2 spine3 collar Spine Spine1 Spine2 Shoulder 上半身 上半身2 肩",
+    "pelvis": "pelvis Hips 下半身 センター グルーブ 全ての親",
+}
+_LIMBS = {
+    "arm": ("shoulder elbow wrist 腕 ひじ 手首", ("Arm", "ForeArm", "Hand")),
+    "leg": ("hip knee ankle foot 足 ひざ 足首 つま先", ("UpLeg", "Leg", "Foot", "Toe")),
+}
+"""Names of joints with what they carry, and beginnings of others."""
+
+
 def carrier_of(name: str) -> int:
     """Number in `CARRIERS` of a joint by its name in the body's layout, the wardrobe (Japanese) or a family."""
-    side = (
-        "left"
-        if name.startswith(("left", "Left", "左"))
-        else "right"
-        if name.startswith(("right", "Right", "右"))
-        else ""
-    )
-    word = name.removeprefix("left_").removeprefix("right_").removeprefix("Left").removeprefix("Right")
-    word = word.removeprefix("左").removeprefix("右")
-    if word in ("head", "neck", "Head", "Neck", "頭", "首", "Jaw", "Eye", "Ear", "両目", "目"):
-        return CARRIER["head"]
-    if word in (
-        "spine1",
-        "spine2",
-        "spine3",
-        "collar",
-        "Spine",
-        "Spine1",
-        "Spine2",
-        "Shoulder",
-        "上半身",
-        "上半身2",
-        "肩",
-    ):
-        return CARRIER["chest"]
-    if word in ("pelvis", "Hips", "下半身", "センター", "グルーブ", "全ての親"):
-        return CARRIER["pelvis"]
-    if side and (
-        word in ("shoulder", "elbow", "wrist", "腕", "ひじ", "手首") or word.startswith(("Arm", "ForeArm", "Hand"))
-    ):
-        return CARRIER[f"{side} arm"]
-    if side and (
-        word in ("hip", "knee", "ankle", "foot", "足", "ひざ", "足首", "つま先")
-        or word.startswith(("UpLeg", "Leg", "Foot", "Toe"))
-    ):
-        return CARRIER[f"{side} leg"]
+    side = next((side for side, marks in _SIDES.items() if name.startswith(marks)), "")
+    word = name
+    for mark in ("left_", "right_", "Left", "Right", "左", "右"):
+        word = word.removeprefix(mark)
+    for carrier, words in _CARRIED.items():
+        if word in words.split():
+            return CARRIER[carrier]
+    for limb, (joints, begins) in _LIMBS.items() if side else ():
+        if word in joints.split() or word.startswith(begins):
+            return CARRIER[f"{side} {limb}"]
     return UNKNOWN
 
 
@@ -122,15 +109,16 @@ def draped(seed: int) -> Labelled:
     """A character of the wardrobe with a coat, a cape or wide sleeves."""
     while not is_draped(seed):
         seed += 1_000_000
-    return _of_costume(wardrobe_costume(seed))
+    return of_costume(wardrobe_costume(seed))
 
 
 def wardrobe(seed: int, closet: Path | None = None, body: Path | None = None) -> Labelled:
     """A character of the wardrobe."""
-    return _of_costume(wardrobe_costume(seed, clothes=closet, body_data=body))
+    return of_costume(wardrobe_costume(seed, clothes=closet, body_data=body))
 
 
-def _of_costume(costume: Costume) -> Labelled:
+def of_costume(costume: Costume) -> Labelled:
+    """A character of the wardrobe, or what is made of it so far, with labels."""
     moved = np.zeros(len(costume.bones), bool)
     moved[[one.bone for one in costume.bodies if one.dynamic and one.bone >= 0]] = True
     group = np.full(len(costume.bones), UNKNOWN)
@@ -138,7 +126,7 @@ def _of_costume(costume: Costume) -> Labelled:
         moved[number] |= bone.parent >= 0 and moved[bone.parent]
         group[number] = group[bone.parent] if moved[number] else carrier_of(bone.name)
     hips = np.mean([costume.bones[costume.bone_index(f"{mark}足")].position[1] for mark in "左右"])
-    pieces = []
+    pieces: list[Labelled] = []
     for part in costume.parts:
         count = len(part.points)
         swings = (part.shares * moved[part.bones]).sum(axis=1) > HANGS
@@ -157,42 +145,21 @@ def _of_costume(costume: Costume) -> Labelled:
             carrier = np.full(count, CARRIER["pelvis"])
         # One vertex a corner keeps the borders of colours sharp.
         corners = part.faces.reshape(-1)
-        pieces.append(
-            Labelled(
-                part.points[corners],
-                np.arange(len(corners)).reshape(-1, 3),
-                label[corners].astype(np.int8),
-                swings[corners].astype(np.int8),
-                carrier[corners].astype(np.int8),
-                np.repeat(paint, 3, axis=0),
-            )
-        )
-    out = pieces[0]
-    out = Labelled(
-        np.concatenate([piece.vertices for piece in pieces]),
-        np.arange(sum(map(len, (p.vertices for p in pieces)))).reshape(-1, 3),
-        *(
-            np.concatenate([getattr(piece, name) for piece in pieces])
-            for name in ("part", "hangs", "carrier", "colors")
-        ),
-    )
+        kinds, states, holders = (values[corners].astype(np.int8) for values in (label, swings, carrier))
+        triangles, tint = np.arange(len(corners)).reshape(-1, 3), np.repeat(paint, 3, axis=0)
+        pieces.append(Labelled(part.points[corners], triangles, kinds, states, holders, tint))
+    names = ("vertices", "part", "hangs", "carrier", "colors")
+    all_of = {name: np.concatenate([getattr(piece, name) for piece in pieces]) for name in names}
+    out = Labelled(faces=np.arange(len(all_of["part"])).reshape(-1, 3), **all_of)
     hands = np.array([costume.bones[costume.bone_index(f"{mark}手首")].position for mark in "左右"])
     elbows = np.array([costume.bones[costume.bone_index(f"{mark}ひじ")].position for mark in "左右"])
     return replace(out, hands=hands + 0.35 * (hands - elbows))
 
 
 _OUTFIT = {
-    "spikes": "hair",
-    "hat": "accessory",
-    "helmet": "accessory",
-    "glasses": "accessory",
-    "bag": "accessory",
-    "shoulder_pads": "accessory",
-    "cape": "cape",
-    "tail": "tail",
-    "ears": "tail",
-    "long skirt": "skirt",
-}
+    "spikes": "hair", "hat": "accessory", "helmet": "accessory", "glasses": "accessory", "bag": "accessory",
+    "shoulder_pads": "accessory", "cape": "cape", "tail": "tail", "ears": "tail", "long skirt": "skirt",
+}  # fmt: skip
 
 
 def dressed(clothes: Wardrobe, seed: int) -> Labelled:
@@ -256,15 +223,10 @@ def dressed(clothes: Wardrobe, seed: int) -> Labelled:
     wrists, elbows = (
         joints[[JOINT_NAMES.index(f"{side}_{name}") for side in ("left", "right")]] for name in ("wrist", "elbow")
     )
-    plain = Labelled(
-        points,
-        whole.faces,
-        np.concatenate(part).astype(np.int8),
-        np.concatenate(hangs).astype(np.int8),
-        carrier.astype(np.int8),
-        np.concatenate(tint),
-        wrists + 0.35 * (wrists - elbows),
-    )
+    marks = np.concatenate(part), np.concatenate(hangs), carrier
+    kinds, states, holders = (values.astype(np.int8) for values in marks)
+    hands = wrists + 0.35 * (wrists - elbows)
+    plain = Labelled(points, whole.faces, kinds, states, holders, np.concatenate(tint), hands)
     form = rng.random()
     posed = Piece(points, whole.faces, whole.joints, whole.handles)
     if form < 0.12:
@@ -281,52 +243,20 @@ def dressed(clothes: Wardrobe, seed: int) -> Labelled:
 
 
 _REGIONS = {
-    "hair": "hair",
-    "bun": "hair",
-    "long": "hair",
-    "hat": "accessory",
-    "brim": "accessory",
-    "helmet": "accessory",
-    "hood": "accessory",
-    "crown": "accessory",
-    "visor": "accessory",
-    "crest": "accessory",
-    "skirt": "skirt",
-    "coat": "skirt",
-    "cape": "cape",
-    "tail": "tail",
-    "ear": "tail",
-    "backpack": "accessory",
-    "belt": "accessory",
-    "scarf": "accessory",
-    "pad": "accessory",
-    "pouch": "accessory",
-    "item": "prop",
-    "button": "body",
+    "hair": "hair", "bun": "hair", "long": "hair", "hat": "accessory", "brim": "accessory", "helmet": "accessory",
+    "hood": "accessory", "crown": "accessory", "visor": "accessory", "crest": "accessory", "skirt": "skirt",
+    "coat": "skirt", "cape": "cape", "tail": "tail", "ear": "tail", "backpack": "accessory", "belt": "accessory",
+    "scarf": "accessory", "pad": "accessory", "pouch": "accessory", "item": "prop", "button": "body",
     "armour": "accessory",
-}
+}  # fmt: skip
 _BONES = {"Hair": "hair", "Ear": "tail", "Tail": "tail"}
 _MAKERS = {
-    "humanoid": humanoid,
-    "mascot": toons.mascot,
-    "blob": toons.blob,
-    "flyer": toons.flyer,
-    "quadruped": beasts.quadruped,
-    "dragon": beasts.dragon,
-    "frog": beasts.frog,
-    "dinosaur": bipeds.dinosaur,
-    "bird": bipeds.bird,
-    "mech": bipeds.mech,
-    "fish": sea.fish,
-    "whale": sea.whale,
-    "ray": sea.ray,
-    "insect": crawlers.insect,
-    "spider": crawlers.spider,
-    "crab": crawlers.crab,
-    "snake": crawlers.snake,
-    "critter": critter,
-    "stubby_beast": stubby_beast,
-}
+    "humanoid": humanoid, "mascot": toons.mascot, "blob": toons.blob, "flyer": toons.flyer,
+    "quadruped": beasts.quadruped, "dragon": beasts.dragon, "frog": beasts.frog, "dinosaur": bipeds.dinosaur,
+    "bird": bipeds.bird, "mech": bipeds.mech, "fish": sea.fish, "whale": sea.whale, "ray": sea.ray,
+    "insect": crawlers.insect, "spider": crawlers.spider, "crab": crawlers.crab, "snake": crawlers.snake,
+    "critter": critter, "stubby_beast": stubby_beast,
+}  # fmt: skip
 
 
 def code_made(family: str, seed: int) -> Labelled:
@@ -366,11 +296,8 @@ def code_made(family: str, seed: int) -> Labelled:
         near = gap < best
         best[near], label[near] = gap[near], PART[kind]
     names = list(rig.names)
-    group = (
-        np.array([carrier_of(name) for name in names])
-        if family in ("humanoid", "mascot", "critter")
-        else np.full(len(names), UNKNOWN)
-    )
+    of_people = family in ("humanoid", "mascot", "critter")
+    group = np.array([carrier_of(name) if of_people else UNKNOWN for name in names])
     first = rig.indices[np.arange(len(raw)), rig.weights.argmax(axis=1)]
     carrier = group[first]
     height = float(np.ptp(points[:, 1]))

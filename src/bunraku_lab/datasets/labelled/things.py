@@ -23,6 +23,11 @@ def _lathe(profile: list[tuple[float, float]], sides: int = 14) -> Mesh:
     return np.concatenate(rings), sheet_faces(len(profile), sides, wrap=True)[:, ::-1]
 
 
+def _round(r: float, y: float) -> Mesh:
+    """A ball."""
+    return _lathe([(1e-4, y - r), (0.7 * r, y - 0.7 * r), (r, y), (0.7 * r, y + 0.7 * r), (1e-4, y + r)])
+
+
 def _bar(a: np.ndarray, b: np.ndarray, radius: float, end: float | None = None, sides: int = 8) -> Mesh:
     t = np.linspace(0, 1, 6)[:, None]
     radii = np.linspace(radius, radius if end is None else end, 6)
@@ -40,27 +45,8 @@ def _join(*meshes: Mesh) -> Mesh:
 def _held(rng: np.random.Generator) -> Mesh:
     """Something to hold, its grip at 0, along +Y, in units of the figure's height."""
     u = rng.uniform
-    kind = str(
-        rng.choice(
-            [
-                "sword",
-                "staff",
-                "shield",
-                "gun",
-                "hammer",
-                "bag",
-                "umbrella",
-                "book",
-                "bow",
-                "lantern",
-                "broom",
-                "bottle",
-                "ball",
-                "flag",
-                "instrument",
-            ]
-        )
-    )
+    kinds = "sword staff shield gun hammer bag umbrella book bow lantern broom bottle ball flag instrument"
+    kind = str(rng.choice(kinds.split()))
     y, o = np.array([0, 1.0, 0]), np.zeros(3)
     thin = u(0.006, 0.02)
     if kind == "sword":
@@ -79,18 +65,7 @@ def _held(rng: np.random.Generator) -> Mesh:
             size = u(0.1, 0.4)
             meshes.append(box(y * (high - size / 2) + [size * 0.7, 0, 0], (size * 1.4, size, 0.004)))
         elif rng.random() < 0.7:
-            r = u(0.02, 0.09)
-            meshes.append(
-                _lathe(
-                    [
-                        (1e-4, high - r),
-                        (0.7 * r, high - 0.7 * r),
-                        (r, high),
-                        (0.7 * r, high + 0.7 * r),
-                        (1e-4, high + r),
-                    ]
-                )
-            )
+            meshes.append(_round(u(0.02, 0.09), high))
         if rng.random() < 0.3 and kind == "staff":
             meshes.append(box(y * high, (u(0.05, 0.25), u(0.04, 0.16), u(0.01, 0.05))))
         return _join(*meshes)
@@ -114,19 +89,9 @@ def _held(rng: np.random.Generator) -> Mesh:
         )
     if kind in ("bag", "lantern"):
         drop, size = u(0.05, 0.25), u(0.05, 0.16)
-        body = (
-            box(-y * (drop + size / 2), (size * u(0.8, 1.6), size, size * u(0.3, 1.0)))
-            if kind == "bag"
-            else _lathe(
-                [
-                    (1e-4, -drop),
-                    (0.4 * size, -drop),
-                    (0.5 * size, -drop - 0.5 * size),
-                    (0.4 * size, -drop - size),
-                    (1e-4, -drop - size),
-                ]
-            )
-        )
+        body = _round(0.5 * size, -drop - 0.5 * size)
+        if kind == "bag":
+            body = box(-y * (drop + size / 2), (size * u(0.8, 1.6), size, size * u(0.3, 1.0)))
         return _join(
             body, _bar(o, np.array([size * 0.3, -drop, 0]), 0.006), _bar(o, np.array([-size * 0.3, -drop, 0]), 0.006)
         )
@@ -157,7 +122,7 @@ def _held(rng: np.random.Generator) -> Mesh:
     r = u(0.03, 0.12)
     if kind == "bottle":
         return _lathe([(1e-4, -2 * r), (r, -2 * r), (r, r), (0.3 * r, 1.6 * r), (0.3 * r, 2.4 * r), (1e-4, 2.4 * r)])
-    return _lathe([(1e-4, -r), (0.7 * r, -0.7 * r), (r, 0), (0.7 * r, 0.7 * r), (1e-4, r)])
+    return _round(r, 0.0)
 
 
 def _pack(rng: np.random.Generator) -> Mesh:
@@ -192,14 +157,8 @@ def _thing(mesh: Mesh, part: str, carrier: int, rng: np.random.Generator, colore
     points, faces = mesh
     count = len(points)
     colors = np.tile(rng.uniform(0.05, 0.95, 3), (count, 1)) if colored else None
-    return Labelled(
-        points,
-        faces,
-        np.full(count, PART[part], np.int8),
-        np.zeros(count, np.int8),
-        np.full(count, carrier, np.int8),
-        colors,
-    )
+    kinds, states, holders = (np.full(count, number, np.int8) for number in (PART[part], 0, carrier))
+    return Labelled(points, faces, kinds, states, holders, colors)
 
 
 def with_things(figure: Labelled, rng: np.random.Generator, rate: float = 0.35) -> Labelled:
@@ -260,15 +219,8 @@ def with_things(figure: Labelled, rng: np.random.Generator, rate: float = 0.35) 
             0.5 * max(high[0] - low[0], high[2] - low[2]) * rng.uniform(0.6, 1.2),
             height * rng.uniform(0.1, 0.4),
         )
-        rim = [
-            (1e-4, 0),
-            (0.7 * wide, 0),
-            (wide, deep),
-            (0.9 * wide, deep),
-            (0.62 * wide, 0.06 * deep),
-            (1e-4, 0.06 * deep),
-        ]
-        tub = _lathe(rim, int(rng.choice([6, 12, 24])))
+        rim = np.array([(1e-4, 0), (0.7, 0), (1, 1), (0.9, 1), (0.62, 0.06), (1e-4, 0.06)]) * [wide, deep]
+        tub = _lathe(rim.tolist(), int(rng.choice([6, 12, 24])))
         at = np.array([0.5 * (low[0] + high[0]), low[1] - 0.1 * deep, 0.5 * (low[2] + high[2])])
         out = out.carried(
             _thing((tub[0] * [1, 1, rng.uniform(0.8, 1.8)] + at, tub[1]), "ground", UNKNOWN, rng, colored)

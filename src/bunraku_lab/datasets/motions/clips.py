@@ -523,17 +523,11 @@ def write_pack(path: str | Path, pack: ExamplePack, notes: Mapping[str, object])
         "sizes": np.array([len(part) for part in pack.data], np.int32),
         "owners": pack.owners.astype(np.int32),
         "readings": np.array([distinct[said] for said in readings], np.int32),
-        "texts": texts[0],
-        "sided": sided.astype(np.int32),
-        "mirrored": texts[1, sided],
+        "texts": texts[0], "sided": sided.astype(np.int32), "mirrored": texts[1, sided],
         "motions": np.rint(STEPS * pack.motions).astype(np.int8),
-    }
+    }  # fmt: skip
     config: dict[str, object] = {
-        "examples": table,
-        "ranker": pack.ranker,
-        "notes": notes,
-        "stand": list(stand_well(pack)),
-        "readings": [[sorted(part) for part in said] for said in distinct],
-        "radians": RADIANS,
-    }
+        "examples": table, "ranker": pack.ranker, "notes": notes, "stand": list(stand_well(pack)),
+        "readings": [[sorted(part) for part in said] for said in distinct], "radians": RADIANS,
+    }  # fmt: skip
     return save_checkpoint(path, tensors, config, EXAMPLES, half=True)
