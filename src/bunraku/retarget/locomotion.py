@@ -103,6 +103,8 @@ def moved_so(motion: HandleMotion, locomotion: str, where: slice, anatomy: Anato
     if locomotion in HOPS and anatomy.plan.hind == anatomy.plan.legs:
         motion = widened(motion, anatomy, _amount(len(motion), frames, motion.fps))
     hen = anatomy.plan.kind == "two legs" and locomotion in HOPS  # which does not lean as a person
+    if locomotion in HOPS and anatomy.plan.kind == "many legs":
+        motion = _travelled(motion, locomotion, frames, anatomy)
     if hen or (locomotion == "stay" and anatomy.plan.swims):
         motion = _levelled(motion, _amount(len(motion), frames, motion.fps))
     if locomotion in WAVE:

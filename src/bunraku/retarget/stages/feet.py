@@ -66,7 +66,7 @@ class Feet(Stage, name="feet"):
         return bool(anatomy.legs) and len(fitting.source) > 2
 
     def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
-        free = fitting.source.own_height and fitting.heights is None
+        free = fitting.source.own_height and fitting.heights is None and not anatomy.has_extra_legs
         motion, contacts = self.locked(fitting.motion, anatomy, None if free else fitting.source)
         return replace(fitting.moved(motion), contacts=contacts)
 
