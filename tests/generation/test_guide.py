@@ -514,7 +514,6 @@ def test_what_a_clause_adds():
     assert {text: clause_of(text).added for text in added} == added
 
 
-@MISREAD
 def test_what_hands_do_in_an_exercise_is_added():
     assert clause_of("does a sit-up, holding the head with both hands").added == ("head", "hands")
 

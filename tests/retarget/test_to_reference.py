@@ -20,7 +20,7 @@ from bunraku.retarget.to_reference import motion_to_reference
 from bunraku_lab.datasets.motions.build import handle_motion_of_body
 from bunraku_lab.synthetic.samples import make_sample
 
-BARE = Stages(feet=False, smooth=False, floor=False, hands_clear=False)
+BARE = Stages(leap=False, feet=False, smooth=False, floor=False, hands_clear=False)
 """What carries a motion over, without what corrects it."""
 
 

@@ -47,9 +47,10 @@ def apply_motion(
     after, loop, path = constraints.after, constraints.loop, constraints.path
     before = None if isinstance(after, HandleMotion) else after
     stages = stages or GENERATED_STAGES
-    # The way back from a clip contains the effect of that stage; hands that are not a person's miss what they touch.
-    shape = stages.shape and (before is None or before.reference is not None)
-    stages = replace(stages, shape=shape, hands=stages.hands or anatomy.leap > anatomy.scale)
+    # The way back from a clip contains the effect of two stages; hands that are not a person's miss what they touch.
+    anew = before is None or before.reference is not None
+    hands = stages.hands or anatomy.leap > anatomy.scale
+    stages = replace(stages, shape=stages.shape and anew, leap=stages.leap and anew, hands=hands)
     fitted = fitted_motion(motion, anatomy, stages, loop)
     if before is not None:
         fitted = follow(fitted, before.motion)

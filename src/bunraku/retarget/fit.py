@@ -15,7 +15,7 @@ from bunraku.core.motion import HandleMotion
 from bunraku.retarget.stages import Stages
 from bunraku.retarget.stages.animals import Front, Gait
 from bunraku.retarget.stages.feet import Feet
-from bunraku.retarget.stages.ground import Floor, Ground, Soles
+from bunraku.retarget.stages.ground import Floor, Ground, Leap, Soles
 from bunraku.retarget.stages.hands import Hands, HandsClear
 from bunraku.retarget.stages.rest_pose import Attach, Blocks, Fins, Legless, Level, RestPose
 from bunraku.retarget.stages.shape import Shape, Smooth
@@ -24,7 +24,7 @@ from bunraku.retarget.stages.trailing import Lag, Tail, TailClear
 
 STAGES: tuple[Stage, ...] = (
     Smooth(), Gait(), Blocks(), RestPose(), Legless(), Fins(), Tail(), Front(), Attach(), Shape(), Level(),
-    Ground(), Soles(), Feet(), Hands(), HandsClear(), Lag(), TailClear(), Floor(),
+    Ground(), Leap(), Soles(), Feet(), Hands(), HandsClear(), Lag(), TailClear(), Floor(),
 )  # fmt: skip
 """All stages, in the order in which they run."""
 _NAMED = {stage.name: stage for stage in STAGES}

@@ -245,7 +245,9 @@ class NameEvidence(Evidence):
         """
         low, high = vertices.min(axis=0).astype(np.float64), vertices.max(axis=0).astype(np.float64)
         kinds = np.array(["" if target else kind for kind, _, _, target in map(part_of_name, names)])
-        at = {kind: places[kinds == kind].mean(axis=0) for kind in np.unique(kinds)} | {"": (low + high) / 2}
+        at: dict[str, np.ndarray] = {kind: places[kinds == kind].mean(axis=0) for kind in np.unique(kinds)} | {
+            "": (low + high) / 2
+        }
         head, foot = at.get("head", at.get("neck", at[""])), at.get("foot", at.get("hind_paw"))
         toe = at.get("toe", foot)
         ways = np.stack([

@@ -28,6 +28,7 @@ class Stages:
         shape: Handles move a little where that keeps the mesh's edges at their lengths.
         level: Bodies that lie along their spine take a third of a person's tilt of the pelvis.
         ground: The lowest point is as high above the ground as the reference body's.
+        leap: Bodies on short legs leap as high as is fit for their whole height.
         soles: Feet that are long for their legs are held flatter where they would sink into the ground.
         feet: Standing feet do not slide.
         hands: Hands that touch the body stay near it.
@@ -49,6 +50,7 @@ class Stages:
     shape: bool = False
     level: bool = True
     ground: bool = True
+    leap: bool = True
     soles: bool = True
     feet: bool = True
     hands: bool = False

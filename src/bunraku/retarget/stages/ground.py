@@ -47,13 +47,7 @@ class Ground(Stage, name="ground"):
             return fitting.moved(self.followed(fitting.source, motion, anatomy, fitting.heights))
         wings = bool(anatomy.own[_WINGS].all())
         flies = not anatomy.legs or anatomy.upright or wings  # an upright body may climb or hang
-        moved = self.grounded(motion, anatomy, flies)
-        if anatomy.leap > anatomy.scale:
-            own = anatomy.reach.lowest(moved.transforms(anatomy.handles.positions)) / anatomy.scale
-            high = self._stood(fitting.source)[1] if anatomy.upright else own
-            air = np.maximum(high - self._local_ground(high, motion.fps), 0)
-            moved = _lifted(moved, (anatomy.leap - anatomy.scale) * air)
-        return fitting.moved(moved)
+        return fitting.moved(self.grounded(motion, anatomy, flies))
 
     def _stood(self, motion: HandleMotion) -> tuple[np.ndarray, np.ndarray]:
         """How high all but the arms of the reference body is, and what it stands on, in each frame [m], (N,) each."""
@@ -77,8 +71,8 @@ class Ground(Stage, name="ground"):
                 have = np.where(hands_down, anatomy.surface_reach.lowest(world), have)
         else:
             want = np.asarray(heights)
-        air = want - self._local_ground(want, motion.fps)
-        lift = running_mean(anatomy.floor + air * np.where(air > 0, anatomy.leap, anatomy.scale) - have, 5)
+        drift = self._local_ground(want, motion.fps)
+        lift = running_mean(anatomy.floor + (want - drift) * anatomy.scale - have, 5)
         moved = fitted.root_translation.copy()
         moved[:, 1] += lift
         return replace(fitted, root_translation=moved)
@@ -182,8 +176,8 @@ class Floor(Stage, name="floor"):
         body = reference_anatomy()
         want = body.surface_reach.lowest(source.transforms(body.handles.positions))
         air = want - running_least(want, 2 * round(self.air * source.fps) + 1)
-        up = air * anatomy.leap - have
-        return _lifted(motion, np.where(up < 0, up * (1 - smooth_step(-up / anatomy.mesh.height, *self.flies)), up))
+        up, down = np.maximum(air * anatomy.scale - have, 0), np.maximum(have - air * anatomy.leap, 0)
+        return _lifted(motion, up - down * (1 - smooth_step(down / anatomy.mesh.height, *self.flies)))
 
     def rested(self, motion: HandleMotion, source: HandleMotion, anatomy: Anatomy) -> HandleMotion:
         """A motion whose legs are on the ground while the body lies: a belly that is thicker than the reference body's
@@ -256,6 +250,22 @@ class Floor(Stage, name="floor"):
                 shifts[:, number, 1] = self._foot_lifts(heights, trust, self.lowered * limb.length, depth, reach)
             motion = with_feet_moved(motion, anatomy, limbs, shifts)
         return _lifted(motion, enough(need(solid), reach))
+
+
+class Leap(Ground, name="leap", needs=("ground",)):
+    """Bodies on short legs leap as high as is fit for their whole height."""
+
+    def applies(self, fitting: Fitting, anatomy: Anatomy) -> bool:
+        return anatomy.leap > anatomy.scale
+
+    def __call__(self, fitting: Fitting, anatomy: Anatomy) -> Fitting:
+        motion, source, high = fitting.motion, fitting.source, fitting.heights
+        if high is None and (anatomy.upright or not source.own_height):
+            high = self._stood(source)[1]
+        elif high is None:
+            high = anatomy.reach.lowest(motion.transforms(anatomy.handles.positions)) / anatomy.scale
+        air = np.maximum(high - self._local_ground(high, motion.fps), 0)
+        return fitting.moved(_lifted(motion, (anatomy.leap - anatomy.scale) * running_mean(air, 5)))
 
 
 @dataclass(frozen=True)
