@@ -26,7 +26,6 @@ from bunraku.pipelines.animator import Animator
 from bunraku.pipelines.apply import apply_motion, apply_rigged
 from bunraku.pipelines.requests import Constraints, Request, Sampling
 from bunraku.retarget.rig_parts import RigParts
-from bunraku.retarget.to_rig import fit_rig
 from bunraku_lab.synthetic.samples import make_sample
 from bunraku_lab.synthetic.wardrobe import wardrobe_character
 
@@ -300,7 +299,7 @@ def test_apparel_swings_and_the_body_does_what_it_does_without(dressed):
     from bunraku.core.motion import resample
 
     motion = generate("a person jumps", seconds=2.0, steps=5, candidates=1, mesh_feature=mesh_feature(dressed))
-    stiff = fit_rig(resample(motion, 30.0), dressed)
+    stiff = apply_rigged(resample(motion, 30.0), RigParts.of(dressed))
     apparel = apparel_rig(dressed)
     assert apparel is not None
     moved = np.unique([apparel.bodies[index].bone for index in apparel.dynamic])
