@@ -24,26 +24,26 @@ LABORATORY = ("nn", "description", "synthetic", "baselines", "datasets", "traini
 """Rooms of the laboratory, which stands on all of the other house."""
 BUDGET = {
     "bunraku/errors": (46, 1),
-    "bunraku/core": (3908, 29),  # arguments of public functions are checked, corrections by hand, the denoiser's layers
+    "bunraku/core": (3909, 29),  # arguments of public functions are checked, corrections by hand, the denoiser's layers
     "bunraku/files": (8423, 43),  # samples for the tasks page, long chains of bones
-    "bunraku/language": (3334, 20),
-    "bunraku/anatomy": (4232, 21),  # what stands beside a body, rigs known by their skin, corrections by hand
-    "bunraku/gestures": (1833, 8),  # what is done once is made again, so that it fills its time
-    "bunraku/retarget": (3429, 21),  # bones of MMD that take over others' rotations, swimming, clips of animals
-    "bunraku/generation": (3083, 14),  # the verifier, candidates that fill their time
+    "bunraku/language": (3328, 20),
+    "bunraku/anatomy": (4310, 21),  # what stands beside a body, rigs known by their skin, corrections by hand
+    "bunraku/gestures": (1810, 8),  # what is done once is made again, so that it fills its time
+    "bunraku/retarget": (3497, 21),  # bones of MMD that take over others' rotations, swimming, clips of animals
+    "bunraku/generation": (3128, 14),  # the verifier, candidates that fill their time
     "bunraku/render": (1301, 7),  # videos of takes side by side
-    "bunraku/apparel": (4967, 28),
-    "bunraku/pipelines": (2067, 11),  # a character that never stops, looks and reaches
+    "bunraku/apparel": (4963, 28),
+    "bunraku/pipelines": (2073, 11),  # a character that never stops, looks and reaches
     "bunraku/bunraku": (93, 1),
-    "bunraku/studio": (3774, 24),  # Live, corrections by hand, bounds on every number of a record
-    "bunraku/cli": (2771, 15),  # characters of a file to choose from, wrong options in one sentence
+    "bunraku/studio": (3786, 24),  # Live, corrections by hand, bounds on every number of a record
+    "bunraku/cli": (2775, 15),  # characters of a file to choose from, wrong options in one sentence
     "bunraku/__main__": (122, 1),
     "bunraku_lab/nn": (1239, 11),
     "bunraku_lab/description": (766, 5),
     "bunraku_lab/synthetic": (5940, 30),
     "bunraku_lab/baselines": (510, 3),
     "bunraku_lab/datasets": (3863, 21),  # volumes and registration of bodies, which only the laboratory needs now
-    "bunraku_lab/training": (7350, 41),  # the pack of clips of animals
+    "bunraku_lab/training": (7321, 41),  # the pack of clips of animals
     "bunraku_lab/evaluation": (4220, 29),
     "bunraku_lab/cli": (745, 7),
     "bunraku_lab/bunraku_lab": (0, 1),

@@ -317,9 +317,9 @@ def test_only_the_sentence_that_says_forward_is_straightened():
 @pytest.mark.parametrize(
     ("sentence", "before", "after"),
     [
-        ("a person turns around", 110, 155),
-        ("a person turns around", -120, -155),
-        ("a person turns around", 300, 205),
+        ("a person turns around", 110, 150),  # 180 less 40, and 10 inside
+        ("a person turns around", -120, -150),
+        ("a person turns around", 300, 210),
         ("a person turns left", 100, 100),
         ("a person turns left", 45, 60),
         ("a person turns left", -60, -60),  # the wrong way is not repaired here
