@@ -121,10 +121,8 @@ def laid(
         features = overlaid(seated, features, ("upper body", "arms", "head"))
     example = pack.examples[found.number]
     if example.loop is None:
-        span = lively(features, FPS)
-        features = features[
-            span.start : max(span.stop, span.start + frames)
-        ]  # its quiet end where there is time for it
+        span = lively(features, FPS)  # and its quiet end where there is time for it
+        features = features[span.start : max(span.stop, span.start + frames)]
     # what the network may have seen as little of as the ranker, and what says the same, leads to the end
     made = np.full(frames, example.unranked or found.close)
     loop, times, period = _loop(pack, found), 1, frames

@@ -281,10 +281,8 @@ def _as_borne(parts: np.ndarray, parents: np.ndarray, legs: list[list[int]], hea
             out[bone] = leg[max(min((leg.index(part) for part in joints if part in leg), default=1) - 1, 0)]
         if parents[bone] >= 0:
             borne[parents[bone]] |= borne[bone]
-    limbs, aside = (
-        {part: limb for limb in [*ARMS, *legs] for part in limb},
-        np.abs(heads[:, 0] - np.median(heads[:, 0])),
-    )
+    limbs = {part: limb for limb in [*ARMS, *legs] for part in limb}
+    aside = np.abs(heads[:, 0] - np.median(heads[:, 0]))
     for bone in order:
         limb = limbs.get(int(out[parents[bone]]), []) if parents[bone] >= 0 else []
         below = [limb.index(part) for part in out[parents == bone] if part in limb]

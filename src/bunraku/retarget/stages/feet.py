@@ -213,13 +213,13 @@ class Feet(Stage, name="feet"):
             missing = missing - aside * (missing * aside).sum(axis=1, keepdims=True)
         away = np.concatenate([np.zeros((1, 2)), np.cumsum(missing, axis=0)])
         # what takes most of an animal's way has mistaken its feet, as of a body that rests in the middle of a step
-        lost = np.hypot(*away[-1]) > TRAVELS * np.hypot(*(path[-1] - path[0])[[0, 2]])
+        way = (path[-1] - path[0])[[0, 2]]
+        lost = np.hypot(*away[-1]) > TRAVELS * np.hypot(*way)
         if source is not None and (lost or not source.own_height):
             slid = self.contacts(source, reference_anatomy())[1] * (not source.own_height)
             slid *= float(np.linalg.norm(slid, axis=1).mean() * motion.fps) > SLIDES  # less is a capture's noise
             drift = away[1:] - np.cumsum(anatomy.scale * slid, axis=0)
             away -= _lasting(np.concatenate([away[:1], drift]), self.stride * motion.fps)
-        way = (path[-1] - path[0])[[0, 2]]
         if not held and way @ (way + away[-1]) < 0:  # feet that would turn the way round do not tell where it leads
             away -= _lasting(away, self.stride * motion.fps)
         missing = np.diff(away, axis=0)
